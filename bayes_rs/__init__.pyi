@@ -1,0 +1,10 @@
+from ._version import __version__ as __version__
+from .errors import InputError as InputError
+from .errors import MissingExtraError as MissingExtraError
+from .errors import NoiseMismatchError as NoiseMismatchError
+from .errors import NotPositiveDefiniteError as NotPositiveDefiniteError
+from .mann import MannTurbulence as MannTurbulence
+from .mann import load_turbulence as load_turbulence
+from .scan import Scan as Scan
+from .scan_file import load_scan as load_scan
+from .stress import STRESSES as STRESSES

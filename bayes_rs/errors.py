@@ -1,0 +1,39 @@
+"""The errors that carry data: what a caller may want to catch by name."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Input that cannot be used: one line that says what, the value, the rule, where, and what to do."""
+
+
+class NoiseMismatchError(InputError):
+    """A noise model that was made for another scan than the one it is used with.
+
+    Attributes
+    ----------
+    difference : str
+        The first thing in which the two scans differ.
+    """
+
+    def __init__(self, message: str, *, difference: str) -> None:
+        super().__init__(message)
+        self.difference = difference
+
+
+class NotPositiveDefiniteError(InputError):
+    """A covariance matrix that is not positive definite.
+
+    Attributes
+    ----------
+    smallest_eigenvalue : float
+        Smallest eigenvalue of the offending matrix, in its own unit.
+    """
+
+    def __init__(self, message: str, *, smallest_eigenvalue: float) -> None:
+        super().__init__(message)
+        self.smallest_eigenvalue = smallest_eigenvalue
+
+
+class MissingExtraError(ImportError):
+    """An optional package that is needed for what was asked and is not installed."""

@@ -1,0 +1,71 @@
+"""Where the shipped models are: presets of scans and turbulence, calibrated noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayes_rs.errors import InputError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def models_folder(kind: str) -> Path:
+    """Return the folder of shipped models of one kind, in an installed wheel or in a checkout.
+
+    Parameters
+    ----------
+    kind : str
+        ``"scans"``, ``"turbulence"`` or ``"noise"``.
+
+    Returns
+    -------
+    folder : Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If neither place holds it, which means a damaged installation.
+    """
+    for folder in (_PACKAGE / "models" / kind, _PACKAGE.parent / "models" / kind):
+        if folder.is_dir():
+            return folder
+    raise InputError(f"The shipped models of kind {kind!r} are missing beside {_PACKAGE}: install bayes_rs again.")
+
+
+def preset_names(kind: str) -> tuple[str, ...]:
+    """Return the names of the shipped TOML presets of one kind, sorted."""
+    return tuple(sorted(path.stem for path in models_folder(kind).glob("*.toml")))
+
+
+def find_model(name: str | Path, kind: str) -> Path:
+    """Return the TOML file that `name` means: a path to a file, or the name of a shipped preset.
+
+    Parameters
+    ----------
+    name : str or Path
+        Path of a TOML file (anything that ends in ``.toml``), or a preset's name.
+    kind : str
+        ``"scans"`` or ``"turbulence"``.
+
+    Returns
+    -------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or preset.
+    """
+    if str(name).endswith(".toml"):
+        path = Path(name)
+        if not path.is_file():
+            raise InputError(
+                f"No file {str(path)!r}: give the path of a TOML file, or one of the names in models/{kind}."
+            )
+        return path
+    if str(name) not in preset_names(kind):
+        names = ", ".join(preset_names(kind))
+        raise InputError(f"No preset {str(name)!r} in models/{kind}: use one of {names}, or the path of a .toml file.")
+    return models_folder(kind) / f"{name}.toml"
