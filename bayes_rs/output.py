@@ -1,0 +1,116 @@
+"""Files that are written whole or not at all, and never over something that was there."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bayes_rs.errors import InputError
+
+RUN_FILE = "run.json"
+"""Every output folder of ours holds it: a folder without it is never replaced."""
+
+
+@contextmanager
+def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a fresh folder to write in, which takes the name `path` once everything in it is written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder to make.
+    overwrite : bool
+        Replace an existing folder, if an earlier run made it.
+
+    Yields
+    ------
+    folder : Path
+        Where to write. If the block fails, what it has written is kept in this folder, and the error says where.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and may not be replaced, or its parent cannot be written.
+    """
+    final = Path(path)
+    _check_free(final, overwrite=overwrite)
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name}.partial-"))
+    except OSError as error:
+        raise InputError(
+            f"Cannot write the output folder {str(final)!r}: {error.strerror or error}; give a folder that can be written."
+        ) from error
+    try:
+        yield part
+    except BaseException as error:
+        if any(part.iterdir()):
+            error.add_note(f"What was finished is kept in {str(part)!r}.")
+        else:
+            part.rmdir()
+        raise
+    part.chmod(0o777 & ~_umask())
+    if final.exists():
+        shutil.rmtree(final)
+    part.replace(final)
+
+
+@contextmanager
+def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a fresh file name to write to, which becomes `path` once it is written.
+
+    Raises
+    ------
+    InputError
+        If the file exists and may not be replaced, or cannot be written.
+    """
+    final = Path(path)
+    if final.is_dir():
+        raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
+    if final.exists() and not overwrite:
+        raise InputError(f"File {str(final)!r} exists: give another name, or --overwrite to replace it.")
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-") as folder:
+            part = Path(folder) / final.name
+            yield part
+            part.replace(final)
+    except OSError as error:
+        raise InputError(
+            f"Cannot write {str(final)!r}: {error.strerror or error}; give a place that can be written."
+        ) from error
+
+
+def write_run(folder: Path, content: dict[str, Any]) -> None:
+    """Write `run.json`: what was run, with which versions and seed."""
+    (folder / RUN_FILE).write_text(
+        json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8"
+    )
+
+
+def _check_free(final: Path, *, overwrite: bool) -> None:
+    if not final.exists():
+        return
+    if not final.is_dir():
+        raise InputError(
+            f"Cannot write the output folder {str(final)!r}: a file of that name exists; give another name."
+        )
+    if not overwrite:
+        raise InputError(f"Output folder {str(final)!r} exists: give another name, or --overwrite to replace it.")
+    if any(final.iterdir()) and not (final / RUN_FILE).is_file():
+        raise InputError(
+            f"Output folder {str(final)!r} was not made by bayes-rs (it has no {RUN_FILE}), so it is not replaced: "
+            "give another name, or remove it yourself."
+        )
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
