@@ -44,7 +44,7 @@ def check_non_negative(value: float, *, what: str, unit: str, where: str = "") -
 
 def check_finite(value: float, *, what: str, unit: str, where: str = "") -> float:
     """Return `value` as a float if it is finite."""
-    return _check_number(value, lambda number: True, "a finite number", what=what, unit=unit, where=where)
+    return _check_number(value, np.isfinite, "a finite number", what=what, unit=unit, where=where)
 
 
 def check_count(value: int, *, what: str, minimum: int = 1) -> int:

@@ -76,8 +76,8 @@ def r_hat(draws: FloatArray, n_ensemble: int) -> FloatArray:
 
     Notes
     -----
-    Walkers of one ensemble are not independent, so the walkers of an ensemble are pooled: what is compared are the first
-    and second halves of whole ensembles. The larger of the plain and the folded form is returned.
+    Walkers of one ensemble are not independent, so the walkers of an ensemble are pooled: what is compared are the
+    first and second halves of whole ensembles. The larger of the plain and the folded form is returned.
 
     References
     ----------
@@ -149,7 +149,7 @@ def highest_density_interval(draws: FloatArray, prob: float) -> tuple[FloatArray
 
 
 def _split(draws: FloatArray) -> FloatArray:
-    """Cut chains in halves: (..., n_chain, n_draw) to (..., 2 n_chain, n_draw // 2), an odd draw in the middle left out."""
+    """Cut chains (..., n_chain, n_draw) in halves (..., 2 n_chain, n_draw // 2), an odd middle draw left out."""
     n_draw = draws.shape[-1]
     if n_draw < 4:
         raise InputError(f"Chains of {n_draw} draws are too short for diagnostics: each needs at least 4.")
@@ -169,7 +169,7 @@ def _plain_r_hat(draws: FloatArray) -> FloatArray:
     within = draws.var(axis=-1, ddof=1).mean(axis=-1)
     between = draws.mean(axis=-1).var(axis=-1, ddof=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt((n_draw - 1.0) / n_draw + between / within)
+        return np.asarray(np.sqrt((n_draw - 1.0) / n_draw + between / within))
 
 
 def _autocovariance(draws: FloatArray) -> FloatArray:
@@ -177,7 +177,7 @@ def _autocovariance(draws: FloatArray) -> FloatArray:
     n_draw = draws.shape[-1]
     centred = draws - draws.mean(axis=-1, keepdims=True)
     spectrum = np.fft.rfft(centred, 2 * n_draw, axis=-1)
-    return np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_draw, axis=-1)[..., :n_draw] / n_draw
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_draw, axis=-1)[..., :n_draw] / n_draw)
 
 
 def _ess(draws: FloatArray) -> FloatArray:
@@ -191,7 +191,9 @@ def _ess(draws: FloatArray) -> FloatArray:
     correlation[..., 0] = 1.0
     even, odd = correlation[..., 0 : n_draw - 1 : 2], correlation[..., 1:n_draw:2]
     pair = even + odd
-    positive = np.logical_and.accumulate(pair > 0.0, axis=-1)
+    # the last lags have too few products to be summed in pairs; Stan and ArviZ stop at the same place
+    summable = np.arange(pair.shape[-1]) < (n_draw - 3) // 2
+    positive = np.logical_and.accumulate((pair > 0.0) & summable, axis=-1)
     monotone = np.minimum.accumulate(np.where(positive, pair, np.inf), axis=-1)
     time = 2.0 * np.where(positive, monotone, 0.0).sum(axis=-1) - 1.0
     # the even term after the last positive pair still counts when it is positive

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -17,7 +16,7 @@ from bayes_rs.likelihood import LogNormalLikelihood, log_normal_likelihood
 from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.prior import Prior, make_prior
 from bayes_rs.progress import progress
-from bayes_rs.result import FLAGS, assemble
+from bayes_rs.result import FLAGS, RecordDraws, assemble
 from bayes_rs.sampling import N_CHAIN, N_ENSEMBLE, RecordSampler
 from bayes_rs.scan import Scan
 
@@ -28,36 +27,6 @@ R_HAT_LIMIT = 1.05
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""
 _LEAST_STEPS = 64
-
-
-@dataclass(frozen=True)
-class RecordDraws:
-    """Draws and diagnostics of some records.
-
-    Parameters
-    ----------
-    stress : ndarray, shape (n_record, n_chain, n_draw, 6)
-        Stresses, m² s⁻².
-    predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
-        Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
-    ess_bulk, ess_tail, r_hat : ndarray, shape (n_record, 6)
-        Diagnostics of the stresses.
-    autocorrelation_time : ndarray, shape (n_record, 6)
-        In sampler steps.
-    acceptance : ndarray, shape (n_record,)
-        Share of proposals that were accepted.
-    n_step : ndarray of int, shape (n_record,)
-        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
-    """
-
-    stress: FloatArray
-    predicted: FloatArray
-    ess_bulk: FloatArray
-    ess_tail: FloatArray
-    r_hat: FloatArray
-    autocorrelation_time: FloatArray
-    acceptance: FloatArray
-    n_step: NDArray[np.int64]
 
 
 def fit(
@@ -214,7 +183,7 @@ def _sample_chunk(
 def _diagnose(
     stress: FloatArray, time: FloatArray, records: NDArray[np.int64], stride: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ESS (bulk, tail) and R-hat, shape (n, 6), of stresses (n, chain, draw, 6); fill the times of the records."""
+    """Return ESS (bulk, tail) and R-hat, shape (n, 6), of stresses (n, chain, draw, 6); fill the records' times."""
     by_component = np.moveaxis(stress, -1, 1)
     time[records] = diagnostics.autocorrelation_time(by_component) * stride
     return (

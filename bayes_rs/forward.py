@@ -184,7 +184,7 @@ def _in_words(direction: FloatArray) -> str:
     """Say which stresses move together along an unseen direction: adding to one is undone by the others."""
     lead, *others = np.flatnonzero(direction)
     reference = direction[others[0]]
-    terms = []
+    terms: list[str] = []
     for index in others:
         ratio = direction[index] / reference
         size = "" if np.isclose(abs(ratio), 1.0, rtol=1e-6) else f"{abs(ratio):.3g} "

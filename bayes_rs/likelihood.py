@@ -55,12 +55,12 @@ class LogNormalLikelihood:
     def whitened_residual(self, stress: FloatArray) -> FloatArray:
         """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
         mean = stress @ self.gain.swapaxes(-1, -2) + self.offset[:, None, :]
-        return self.datum[:, None, :] - np.log(mean) @ self.whitening.swapaxes(-1, -2)
+        return np.asarray(self.datum[:, None, :] - np.log(mean) @ self.whitening.swapaxes(-1, -2))
 
     def log_density(self, stress: FloatArray) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
         residual = self.whitened_residual(stress)
-        return self.log_normalizer[:, None] - 0.5 * np.einsum("rds,rds->rd", residual, residual)
+        return np.asarray(self.log_normalizer[:, None] - 0.5 * np.einsum("rds,rds->rd", residual, residual))
 
     def take(self, records: np.ndarray[tuple[int], np.dtype[np.int64]]) -> LogNormalLikelihood:
         """Return the likelihood of some of the records."""
@@ -109,7 +109,7 @@ def log_normal_likelihood(
         If the noise of the reduced data is singular: the noise model says that a combination of stresses is known
         without error.
     """
-    n_record, n_beam = variance.shape
+    n_beam = variance.shape[1]
     idle = np.flatnonzero(~used.any(axis=1))
     if len(idle):
         raise InputError(f"Record {idle[0]} has no usable beam: leave such records out before the likelihood is built.")
@@ -117,7 +117,8 @@ def log_normal_likelihood(
     if len(bad):
         record, beam = (int(i) for i in bad[0])
         raise InputError(
-            f"Invalid variance {variance[record, beam]} of record {record}, beam {beam}: it must be positive; flag the beam."
+            f"Invalid variance {variance[record, beam]} of record {record}, beam {beam}: it must be positive; "
+            "flag the beam."
         )
     gain = np.where(used[:, :, None], gain, 0.0)
     offset = np.where(used, np.broadcast_to(np.asarray(offset, dtype=np.float64), variance.shape), 1.0)
@@ -137,7 +138,7 @@ def log_normal_likelihood(
             f"{smallest[worst]:.3g} and must be positive; use a noise model with more realizations, or fewer beams.",
             smallest_eigenvalue=float(smallest[worst]),
         )
-    # directions that a record does not have get a unit pivot and a zero row: they enter neither residual nor determinant
+    # directions that a record does not have get a unit pivot and a zero row: no part in residual and determinant
     factor = np.linalg.cholesky(reduced + np.eye(seen.shape[1]) * np.where(seen, 0.0, 1.0)[:, None, :])
     whitening = np.linalg.solve(factor, left.swapaxes(-1, -2))
     log_y = np.log(np.where(used, variance, 1.0)) + 0.5 * np.einsum("rbb->rb", log_covariance)

@@ -45,7 +45,8 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name}.partial-"))
     except OSError as error:
         raise InputError(
-            f"Cannot write the output folder {str(final)!r}: {error.strerror or error}; give a folder that can be written."
+            f"Cannot write the output folder {str(final)!r}: {error.strerror or error}; "
+            "give a folder that can be written."
         ) from error
     try:
         yield part

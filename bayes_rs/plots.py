@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError
-from bayes_rs.result import check_result, flag_words
+from bayes_rs.result import check_result, flag_words, group
 from bayes_rs.stress import STRESSES
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def find_record(result: xr.DataTree, record: int | str) -> int:
         If there is no such record, or it was not fitted.
     """
     check_result(result)
-    observed = result["observed_data"]
+    observed = group(result, "observed_data")
     n_record = observed.sizes["record"]
     if isinstance(record, str) and not record.lstrip("-").isdigit():
         try:
@@ -52,8 +52,8 @@ def find_record(result: xr.DataTree, record: int | str) -> int:
         index = int(record)
         if not 0 <= index < n_record:
             raise InputError(f"No record {index}: there are {n_record}, numbered from 0.")
-    if not np.isfinite(result["posterior/stress"].isel(record=index).values).all():
-        words = flag_words(int(result["sample_stats/flag"].values[index]))
+    if not np.isfinite(group(result, "posterior")["stress"].isel(record=index).values).all():
+        words = flag_words(int(group(result, "sample_stats")["flag"].values[index]))
         raise InputError(f"Record {index} was not fitted ({words}): choose another one.")
     return index
 
@@ -87,9 +87,9 @@ def plot_corner(
     Returns
     -------
     figure : Figure or SubFigure
-        Contours hold 68 and 95 %, titles give the 5, 50 and 95 % points. The prior is drawn at the posterior's own size:
-        prior shapes R/(uu + vv + ww) times the posterior's trace. Where the posterior fills that outline, the data said
-        nothing and the prior everything.
+        Contours hold 68 and 95 %, titles give the 5, 50 and 95 % points. The prior is drawn at the posterior's own
+        size: prior shapes R/(uu + vv + ww) times the posterior's trace. Where the posterior fills that outline, the
+        data said nothing and the prior everything.
 
     Raises
     ------
@@ -144,12 +144,16 @@ def plot_corner(
     return target
 
 
+def prior_at_size(result: xr.DataTree, record: int | str) -> FloatArray:
+    """Return draws of the prior's shape R/(uu + vv + ww) times the trace of a record's posterior, shape (n, 6)."""
+    return _draws(result, find_record(result, record))[1]
+
+
 def _draws(result: xr.DataTree, index: int) -> tuple[FloatArray, FloatArray]:
     """Return posterior draws of a record, and draws of the prior's shape at the posterior's size, each (n, 6)."""
-    posterior = (
-        result["posterior/stress"].isel(record=index).transpose("chain", "draw", "component").values.reshape(-1, 6)
-    )
-    prior = result["prior/stress"].values.reshape(-1, 6)
+    draws = group(result, "posterior")["stress"].isel(record=index).transpose("chain", "draw", "component")
+    posterior = draws.values.reshape(-1, 6)
+    prior = group(result, "prior")["stress"].values.reshape(-1, 6)
     shape = prior / prior[:, :3].sum(axis=1, keepdims=True)
     size = np.resize(posterior[:, :3].sum(axis=1), len(shape))
     return posterior, shape * size[:, None]
@@ -208,15 +212,15 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
     check_result(result)
     if not 0.0 < prob < 1.0:
         raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    observed = result["observed_data"]
-    stress = result["posterior/stress"].transpose("record", "component", "chain", "draw").values
+    observed = group(result, "observed_data")
+    stress = group(result, "posterior")["stress"].transpose("record", "component", "chain", "draw").values
     n_record = len(stress)
     flat = stress.reshape(n_record, 6, -1)
     levels = [0.5 * (1.0 - prob), 0.25, 0.5, 0.75, 0.5 * (1.0 + prob)]
     bands = np.quantile(flat, levels, axis=-1)  # NaN for records that were not fitted
     has_time = "time" in observed.coords
     when = observed.coords["time"].values if has_time else np.arange(n_record)
-    flags = result["sample_stats/flag"].values
+    flags = group(result, "sample_stats")["flag"].values
     figure = Figure(figsize=(11.0, 11.0), layout="constrained")
     axes = figure.subplots(6, 1, sharex=True)
     style = {"step": None} if n_record > 1 else {}
@@ -268,8 +272,9 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
     if has_time:
         import matplotlib.dates as mdates  # noqa: PLC0415 - only where dates are drawn
 
-        locator = mdates.AutoDateLocator()
+        locator = mdates.AutoDateLocator()  # type: ignore[no-untyped-call]
         axes[-1].xaxis.set_major_locator(locator)
-        axes[-1].xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
+        formatter = mdates.ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
+        axes[-1].xaxis.set_major_formatter(formatter)
     figure.suptitle(f"{result.attrs['scan']}: {result.attrs['sight']}; prior {result.attrs['prior_name']}", fontsize=11)
     return figure

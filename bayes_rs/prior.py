@@ -71,9 +71,9 @@ class WeakPrior(Prior):
     artanh ρ_uv ~ N(0, 0.35²), artanh ρ_uw ~ N(−0.3, 0.35²), artanh ρ_vw·u ~ N(0, 0.35²), where ρ_vw·u is the partial
     correlation of v and w given u. All independent. Every draw is realizable.
 
-    The centres are near the neutral surface layer, σ_u : σ_v : σ_w : u* = 2.39 : 1.92 : 1.25 : 1, which has vv/uu = 0.65,
-    ww/uu = 0.27, ρ_uw = −0.33; the widths also hold the ratios of convective and stable flow and those of Mann spectra
-    with Γ from 0 to 5.
+    The centres are near the neutral surface layer, σ_u : σ_v : σ_w : u* = 2.39 : 1.92 : 1.25 : 1, which has
+    vv/uu = 0.65, ww/uu = 0.27, ρ_uw = −0.33; the widths also hold the ratios of convective and stable flow and those
+    of Mann spectra with Γ from 0 to 5.
 
     References
     ----------
@@ -97,7 +97,8 @@ class WeakPrior(Prior):
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density of the coordinates, which are independent and standard normal."""
-        return -0.5 * np.sum(coordinate**2, axis=-1) - 0.5 * N_COORDINATE * np.log(2.0 * np.pi)
+        square = np.sum(coordinate**2, axis=-1, dtype=np.float64)
+        return np.asarray(-0.5 * square - 0.5 * N_COORDINATE * np.log(2.0 * np.pi))
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
@@ -114,7 +115,8 @@ class WeakPrior(Prior):
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""
         return (
-            f"weak: uu log-normal about {self.median_uu:g} m² s⁻² (factor {np.exp(1.96 * self.log_sd_uu):.0f} either way), "
+            f"weak: uu log-normal about {self.median_uu:g} m² s⁻² "
+            f"(factor {np.exp(1.96 * self.log_sd_uu):.0f} either way), "
             f"vv/uu about {self.ratio_vv:g} (factor {np.exp(1.96 * self.log_sd_vv):.1f}), "
             f"ww/uu about {self.ratio_ww:g} (factor {np.exp(1.96 * self.log_sd_ww):.1f}), "
             f"correlation of u and w about {np.tanh(self.z_uw):.2f}, the others about 0 (95 %)"
@@ -155,7 +157,7 @@ class FlatPrior(Prior):
         of_variances = np.log(2.0) - 2.0 * np.logaddexp(0.0, -share) - np.logaddexp(0.0, share)
         log_cosh = np.logaddexp(z, -z) - np.log(2.0)
         of_correlations = np.log([2.0 / np.pi, 2.0 / np.pi, 0.5]) - np.array([3.0, 3.0, 2.0]) * log_cosh
-        return np.sum(of_variances + of_correlations, axis=-1)
+        return np.asarray(np.sum(of_variances + of_correlations, axis=-1))
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
@@ -171,7 +173,10 @@ class FlatPrior(Prior):
 
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""
-        return f"flat: uniform over realizable tensors with uu, vv, ww below {self.bound:g} m² s⁻² (favours large variances)"
+        return (
+            f"flat: uniform over realizable tensors with uu, vv, ww below {self.bound:g} m² s⁻² "
+            "(favours large variances)"
+        )
 
 
 PRIORS: dict[str, Callable[..., Prior]] = {"weak": WeakPrior, "flat": FlatPrior}

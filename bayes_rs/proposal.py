@@ -12,6 +12,8 @@ from bayes_rs.likelihood import LogNormalLikelihood
 from bayes_rs.prior import N_COORDINATE, Prior
 
 DEGREES_OF_FREEDOM = 6.0
+_FLAT_ENOUGH = 1e-3
+"""A record stops when a step gains less than this in log-posterior, or no step longer than this gains anything."""
 _LEAST_BEND = 1e-2
 """Least curvature of the log-prior that the proposal uses: it may be too wide, never without bound."""
 _STEP = 1e-4
@@ -29,7 +31,7 @@ class StudentProposal:
     factor : ndarray, shape (n_record, 6, 6)
         Upper triangular F with precision Fᵀ F.
     n_iteration : int
-        Gauss–Newton iterations that it took.
+        Gauss–Newton iterations that the slowest record took.
     """
 
     mode: FloatArray
@@ -39,7 +41,8 @@ class StudentProposal:
     def transform(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
         """Turn normal (n_record, n_draw, 6) and χ² (n_record, n_draw) numbers into draws (n_record, n_draw, 6)."""
         scaled = normal * np.sqrt(DEGREES_OF_FREEDOM / chi_square)[..., None]
-        return self.mode[:, None, :] + np.linalg.solve(self.factor, scaled.swapaxes(-1, -2)).swapaxes(-1, -2)
+        shift = np.linalg.solve(self.factor, scaled.swapaxes(-1, -2)).swapaxes(-1, -2)
+        return np.asarray(self.mode[:, None, :] + shift)
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density, shape (n_record, n_draw), at coordinates (n_record, n_draw, 6)."""
@@ -48,7 +51,7 @@ class StudentProposal:
         half = 0.5 * (DEGREES_OF_FREEDOM + N_COORDINATE)
         constant = gammaln(half) - gammaln(0.5 * DEGREES_OF_FREEDOM) - 3.0 * np.log(DEGREES_OF_FREEDOM * np.pi)
         log_volume = np.log(np.abs(np.einsum("rkk->rk", self.factor))).sum(axis=1)
-        return constant + log_volume[:, None] - half * np.log1p(square / DEGREES_OF_FREEDOM)
+        return np.asarray(constant + log_volume[:, None] - half * np.log1p(square / DEGREES_OF_FREEDOM))
 
     def take(self, records: np.ndarray[tuple[int], np.dtype[np.int64]]) -> StudentProposal:
         """Return the proposal of some of the records."""
@@ -83,22 +86,26 @@ def laplace_proposal(likelihood: LogNormalLikelihood, prior: Prior, *, max_itera
     damping = np.full(n_record, 1e-3)
     height = log_posterior(likelihood, prior, mode[:, None, :])[:, 0]
     identity = np.eye(N_COORDINATE)
-    iteration = 0
-    for iteration in range(1, max_iteration + 1):  # noqa: B007 - the count is part of the result
-        gradient, precision = _curvature(likelihood, prior, mode)
-        step = np.linalg.solve(precision + damping[:, None, None] * identity, gradient[..., None])[..., 0]
-        trial = mode + step
-        trial_height = log_posterior(likelihood, prior, trial[:, None, :])[:, 0]
-        better = trial_height > height
-        gain = np.where(better, trial_height - height, 0.0)
-        mode = np.where(better[:, None], trial, mode)
-        height = np.where(better, trial_height, height)
-        damping = np.where(better, 0.1 * damping, 10.0 * np.maximum(damping, 1e-2))
-        if np.all((gain < 1e-3) & (better | (np.abs(step).max(axis=1) < 1e-3))):
-            break
+    going = np.arange(n_record)  # each record stops by itself, so that its proposal does not depend on the others
+    n_iteration = 0
+    while len(going) and n_iteration < max_iteration:
+        n_iteration += 1
+        part = likelihood.take(going)
+        gradient, precision = _curvature(part, prior, mode[going])
+        step = np.linalg.solve(precision + damping[going, None, None] * identity, gradient[..., None])[..., 0]
+        trial = mode[going] + step
+        trial_height = log_posterior(part, prior, trial[:, None, :])[:, 0]
+        better = trial_height > height[going]
+        converged = np.where(
+            better, trial_height - height[going] < _FLAT_ENOUGH, np.abs(step).max(axis=1) < _FLAT_ENOUGH
+        )
+        mode[going[better]] = trial[better]
+        height[going[better]] = trial_height[better]
+        damping[going] = np.where(better, 0.1 * damping[going], 10.0 * np.maximum(damping[going], 1e-2))
+        going = going[~converged]
     _, precision = _curvature(likelihood, prior, mode)
-    factor = np.linalg.cholesky(precision).swapaxes(-1, -2)
-    return StudentProposal(mode, factor, iteration)
+    factor = np.asarray(np.linalg.cholesky(precision), dtype=np.float64).swapaxes(-1, -2)
+    return StudentProposal(mode, factor, n_iteration)
 
 
 def _curvature(likelihood: LogNormalLikelihood, prior: Prior, mode: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.errors import InputError
 from bayes_rs.forward import sight
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.prior import Prior
+from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
-
-if TYPE_CHECKING:
-    from bayes_rs.fit import RecordDraws
-    from bayes_rs.noise import NoiseBank, NoiseModel
-    from bayes_rs.prior import Prior
-    from bayes_rs.scan import Scan
 
 FLAGS: dict[str, int] = {
     "no_usable_beam": 1,
@@ -33,6 +32,36 @@ FLAGS: dict[str, int] = {
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a result, for its outline in figures and for contraction."""
 _PRIOR_SEED = 0
+
+
+@dataclass(frozen=True)
+class RecordDraws:
+    """Draws and diagnostics of some records.
+
+    Parameters
+    ----------
+    stress : ndarray, shape (n_record, n_chain, n_draw, 6)
+        Stresses, m² s⁻².
+    predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
+        Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
+    ess_bulk, ess_tail, r_hat : ndarray, shape (n_record, 6)
+        Diagnostics of the stresses.
+    autocorrelation_time : ndarray, shape (n_record, 6)
+        In sampler steps.
+    acceptance : ndarray, shape (n_record,)
+        Share of proposals that were accepted.
+    n_step : ndarray of int, shape (n_record,)
+        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
+    """
+
+    stress: FloatArray
+    predicted: FloatArray
+    ess_bulk: FloatArray
+    ess_tail: FloatArray
+    r_hat: FloatArray
+    autocorrelation_time: FloatArray
+    acceptance: FloatArray
+    n_step: NDArray[np.int64]
 
 
 def flag_words(flag: int) -> str:
@@ -59,7 +88,7 @@ def assemble(
     attributes: dict[str, Any],
 ) -> xr.DataTree:
     """Put draws, diagnostics and what they came from into one DataTree; records that were not fitted are NaN."""
-    n_record, n_beam = usable.shape
+    n_record = len(usable)
     coords: dict[str, Any] = {"record": np.arange(n_record)}
     if "time" in records.coords:
         coords["time"] = ("record", records["time"].values)
@@ -138,6 +167,11 @@ def assemble(
     return tree
 
 
+def group(result: xr.DataTree, name: str) -> xr.Dataset:
+    """Return one group of a result as a Dataset."""
+    return result.children[name].to_dataset()
+
+
 def check_result(result: xr.DataTree) -> xr.DataTree:
     """Return the result if it has the groups that `fit` writes; else say what is missing."""
     for group, variable in (
@@ -152,7 +186,7 @@ def check_result(result: xr.DataTree) -> xr.DataTree:
 
 
 def _noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
-    models = getattr(noise, "models", (noise,))
+    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     first = models[0]
     return {
         "method": first.method,

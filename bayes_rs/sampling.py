@@ -87,8 +87,8 @@ class RecordSampler:
     -----
     The walkers of a record form `N_ENSEMBLE` ensembles. Three steps in four are independence proposals from a
     Student-t at the record's mode, accepted by Metropolis–Hastings; every fourth is differential evolution inside an
-    ensemble (Nelson, Ford and Payne 2014), which needs no knowledge of the posterior. Both leave each record's posterior
-    unchanged, whatever the other records do. The random numbers of a record come from its own stream.
+    ensemble (Nelson, Ford and Payne 2014), which needs no knowledge of the posterior. Both leave each record's
+    posterior unchanged, whatever the other records do. The random numbers of a record come from its own stream.
 
     References
     ----------
@@ -143,7 +143,7 @@ class RecordSampler:
 
         move = _WithinRecordMove(proposal, self.streams, records, n_step)
         sampler = emcee.EnsembleSampler(n * N_CHAIN, N_COORDINATE, log_probability, moves=move, vectorize=True)
-        # the move draws from the records' own streams; emcee's own state is still set, since emcee picks the move with it
+        # the move draws from the records' own streams; emcee picks the move with its own state, so that is set too
         sampler.random_state = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(self.seed))).get_state()
         state = sampler.run_mcmc(
             self.coordinate[records].reshape(-1, N_COORDINATE), n_step, skip_initial_state_check=True

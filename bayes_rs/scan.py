@@ -115,7 +115,7 @@ class Scan:
         if n_beam == 0:
             raise InputError(f"Scan {self.name!r} has no beam: it needs at least one.")
         length = np.linalg.norm(direction, axis=1)
-        for index in np.flatnonzero(np.abs(length - 1.0) > 1e-9):
+        for index in np.flatnonzero(np.abs(length - 1.0) > 1e-9).tolist():
             raise InputError(
                 f"Invalid direction {direction[index].tolist()} of beam {index} in scan {self.name!r}: "
                 f"its length is {length[index]:g} and must be 1; give a unit vector or angles."
@@ -200,7 +200,7 @@ class Scan:
             If a number is not one of this scan's beams.
         """
         wanted = np.atleast_1d(np.asarray(beams, dtype=np.int64))
-        for number in wanted:
+        for number in wanted.tolist():
             if number not in self.beam:
                 raise InputError(f"Unknown beam {number} in scan {self.name!r}: its beams are {self.beam.tolist()}.")
         index = np.array([int(np.flatnonzero(self.beam == number)[0]) for number in wanted])

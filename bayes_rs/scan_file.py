@@ -79,14 +79,16 @@ class _Beam(_Table):
 
     def direction(self) -> FloatArray:
         if self.vector is not None:
-            return np.asarray(self.vector) / np.linalg.norm(self.vector)
+            vector = np.asarray(self.vector, dtype=np.float64)
+            return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)
         if self.opening_angle_deg is not None and self.phase_deg is not None:
             return cone_direction(np.deg2rad(self.opening_angle_deg), np.deg2rad(self.phase_deg))
         if self.sideways_deg is not None and self.upwards_deg is not None:
             side, up = np.deg2rad(self.sideways_deg), np.deg2rad(self.upwards_deg)
             return np.array([-np.cos(up) * np.cos(side), np.cos(up) * np.sin(side), np.sin(up)])
         raise InputError(
-            f"Beam {self.id} has no direction: give opening_angle_deg and phase_deg, sideways_deg and upwards_deg, or vector."
+            f"Beam {self.id} has no direction: give opening_angle_deg and phase_deg, sideways_deg and upwards_deg, "
+            "or vector."
         )
 
 
@@ -206,8 +208,8 @@ def load_scan(
     table = _merge(table, {part: {k: v for k, v in new.items() if v is not None} for part, new in overrides.items()})
     if opening_angle_deg is not None and table.get("beams", {}).get("pattern") == "list":
         raise InputError(
-            f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not apply: "
-            "write a TOML file with the beams that you want."
+            f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not "
+            "apply: write a TOML file with the beams that you want."
         )
     return _build(path.stem, _validate(table, path))
 

@@ -11,7 +11,7 @@ import xarray as xr
 from bayes_rs import diagnostics
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
-from bayes_rs.result import check_result, flag_words
+from bayes_rs.result import check_result, flag_words, group
 from bayes_rs.sampling import N_ENSEMBLE
 from bayes_rs.stress import STRESSES, principal_variances
 
@@ -36,7 +36,7 @@ COLUMNS: tuple[str, ...] = (
 
 def turbulence_kinetic_energy(stress: FloatArray) -> FloatArray:
     """Return k = ½(uu + vv + ww), m² s⁻², of stresses (..., 6)."""
-    return 0.5 * stress[..., :3].sum(axis=-1)
+    return np.asarray(0.5 * stress[..., :3].sum(axis=-1))
 
 
 def friction_velocity(stress: FloatArray) -> FloatArray:
@@ -59,9 +59,9 @@ DERIVED: dict[str, Callable[[FloatArray], FloatArray]] = {
     "anisotropy_2": _invariant(2),
     "anisotropy_3": _invariant(3),
 }
-"""Derived quantities by name, functions of stresses (..., 6): kinetic energy k (m² s⁻²), friction velocity u* (m/s), and
-the invariants b_ij b_ji and b_ij b_jk b_ki of the anisotropy tensor b = R/(2k) − I/3. Turbulence intensity, "ti", is
-σ_u/U and needs the wind speed beside the stresses."""
+"""Derived quantities by name, functions of stresses (..., 6): kinetic energy k (m² s⁻²), friction velocity u* (m/s),
+and the invariants b_ij b_ji and b_ij b_jk b_ki of the anisotropy tensor b = R/(2k) − I/3. Turbulence intensity,
+"ti", is σ_u/U and needs the wind speed beside the stresses."""
 
 
 def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = ()) -> pd.DataFrame:
@@ -80,9 +80,9 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     Returns
     -------
     table : DataFrame
-        One row for each record and stress (and derived quantity), with the columns of `COLUMNS`: number and start of the
-        record; posterior mean, sd, median and ends of the highest-density interval, m² s⁻² for stresses; contraction;
-        effective sample sizes, R-hat, and flags in words. Records that were not fitted have NaN.
+        One row for each record and stress (and derived quantity), with the columns of `COLUMNS`: number and start of
+        the record; posterior mean, sd, median and ends of the highest-density interval, m² s⁻² for stresses;
+        contraction; effective sample sizes, R-hat, and flags in words. Records that were not fitted have NaN.
 
     Raises
     ------
@@ -100,9 +100,10 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
         raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
     for name in derived:
         check_choice(name, ("ti", *DERIVED), what="derived quantity")
-    stress = result["posterior/stress"].transpose("record", "chain", "draw", "component").values
-    prior = result["prior/stress"].values.reshape(-1, len(STRESSES))
-    wind_speed = result["observed_data/wind_speed"].values
+    stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
+    observed = group(result, "observed_data")
+    wind_speed = observed["wind_speed"].values
     names = (*STRESSES, *derived)
     fitted = np.flatnonzero(np.isfinite(stress).all(axis=(1, 2, 3)))
     columns = {
@@ -116,13 +117,10 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
         for column, values in part.items():
             columns[column][chunk] = values
     n_record, n_name = len(stress), len(names)
-    record = result["observed_data/variance"]["record"].values
-    time = (
-        result["observed_data"].coords["time"].values
-        if "time" in result["observed_data"].coords
-        else np.full(n_record, np.datetime64("NaT"))
-    )
-    flags = [flag_words(flag) for flag in result["sample_stats/flag"].values]
+    record = observed["record"].values
+    no_time = np.full(n_record, np.datetime64("NaT", "ns"))
+    time = observed["time"].values if "time" in observed.coords else no_time
+    flags = [flag_words(flag) for flag in group(result, "sample_stats")["flag"].values]
     table = pd.DataFrame(
         {
             "record": np.repeat(record, n_name),

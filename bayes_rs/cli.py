@@ -1,0 +1,384 @@
+"""The command line: read, call, write."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from bayes_rs._version import __version__
+
+if TYPE_CHECKING:
+    from bayes_rs.noise import NoiseBank, NoiseModel
+    from bayes_rs.scan import Scan
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+EXIT_FLAGGED = 1
+EXIT_BAD_INPUT = 2
+
+
+def main() -> None:
+    """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
+    from bayes_rs.errors import InputError, MissingExtraError  # noqa: PLC0415 - help must not wait for numpy
+
+    try:
+        code = commands.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except click.Abort:
+        click.echo("Interrupted.", err=True)
+        code = 130
+    except (InputError, MissingExtraError) as error:
+        click.echo(f"bayes-rs: {error}", err=True)
+        for note in getattr(error, "__notes__", []):
+            click.echo(f"bayes-rs: {note}", err=True)
+        code = EXIT_BAD_INPUT
+    sys.exit(code)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="bayes-rs")
+def commands() -> None:
+    """Reynolds stresses with credible intervals from Doppler-lidar radial velocities."""
+
+
+def _scan_options(command: _Command) -> _Command:
+    for option in reversed(
+        [
+            click.option(
+                "--scan", "scan_name", required=True, help="A name that `bayes-rs scans` lists, or a TOML file."
+            ),
+            click.option(
+                "--opening-angle", "opening_angle_deg", type=float, help="Another half-cone opening angle, degrees."
+            ),
+            click.option(
+                "--focus-distance", type=float, multiple=True, help="Another focus distance, m; several for planes."
+            ),
+            click.option("--tilt", "tilt_deg", type=float, help="Another tilt, degrees; positive raises the beam."),
+            click.option("--yaw", "yaw_deg", type=float, help="Wind direction relative to the lidar axis, degrees."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def _reading_options(command: _Command) -> _Command:
+    for option in reversed(
+        [
+            click.option(
+                "--format", "file_format", default="auto", show_default=True, help="auto, long, wide or netcdf."
+            ),
+            click.option(
+                "--column",
+                "columns",
+                multiple=True,
+                metavar="OURS=THEIRS",
+                help="Name of a column, as radial_velocity=RWS.",
+            ),
+            click.option(
+                "--beam-number",
+                "beam_numbers",
+                multiple=True,
+                metavar="THEIRS=OURS",
+                help="Number of a beam, as LOS2=2.",
+            ),
+            click.option(
+                "--positive", type=click.Choice(["away", "towards"]), help="Sign of the radial velocity in the files."
+            ),
+            click.option(
+                "--velocity-unit", type=click.Choice(["m/s", "km/h", "knot"]), help="Unit of the radial velocity."
+            ),
+            click.option("--invalid", type=float, multiple=True, help="A number that stands for a missing value."),
+            click.option("--time-zone", help="Zone of times without one, as UTC or +01:00."),
+            click.option("--separator", help="Between the columns of a CSV file."),
+            click.option("--decimal", help="Decimal mark of a CSV file."),
+            click.option("--status-valid", type=float, help="Status of a good sample."),
+            click.option(
+                "--out-of-order",
+                type=click.Choice(["error", "sort"]),
+                default="error",
+                show_default=True,
+                help="What to do when time goes backwards.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def _record_options(command: _Command) -> _Command:
+    for option in reversed(
+        [
+            click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s."),
+            click.option(
+                "--min-availability",
+                type=float,
+                default=0.8,
+                show_default=True,
+                help="Least share of the expected samples of a beam.",
+            ),
+            click.option("--cnr-range", type=(float, float), help="Lowest and highest carrier-to-noise ratio, dB."),
+            click.option("--despike", type=click.Choice(["median"]), help="Rule that drops spikes."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@commands.command()
+@click.option("-o", "--output", default="bayes-rs-demo", show_default=True, help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier demo.")
+@click.option("--seed", type=int, default=1, show_default=True)
+def demo(output: str, overwrite: bool, seed: int) -> None:
+    """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
+    from bayes_rs.demo import run_demo  # noqa: PLC0415
+
+    for line in run_demo(output, seed=seed, overwrite=overwrite):
+        click.echo(line)
+
+
+@commands.command()
+def scans() -> None:
+    """List the shipped scans and what each can see of the six stresses."""
+    from bayes_rs.forward import sight  # noqa: PLC0415
+    from bayes_rs.models import preset_names  # noqa: PLC0415
+    from bayes_rs.scan_file import load_scan  # noqa: PLC0415
+
+    click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
+    for name in preset_names("scans"):
+        scan = load_scan(name)
+        seen = sight(scan)
+        click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
+    click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
+    click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
+
+
+@commands.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_scan_options
+@_reading_options
+@_record_options
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+    """Make records, one variance a beam and averaging period, from files of radial velocities."""
+    from bayes_rs.output import output_file  # noqa: PLC0415
+
+    with output_file(output, overwrite=overwrite) as part:
+        made, _ = _make_records(files, options)
+        made.to_netcdf(part, engine="h5netcdf")
+    click.echo(f"{made.sizes['record']} records in {output}")
+
+
+@commands.command()
+@_scan_options
+@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
+@click.option(
+    "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
+)
+@click.option(
+    "--noise-yaw",
+    type=float,
+    multiple=True,
+    help="Wind direction relative to the lidar axis, degrees; several make a bank.",
+)
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option("--method", default="boxes", show_default=True, help="How the noise is calculated.")
+@click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def calibrate(
+    turbulence: str,
+    wind_speed: tuple[float, ...],
+    noise_yaw: tuple[float, ...],
+    duration: float,
+    method: str,
+    n_boxes: int,
+    seed: int,
+    output: Path,
+    overwrite: bool,
+    **scan_options: Any,
+) -> None:
+    """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
+    from bayes_rs.calibrate import calibrate as run_calibration  # noqa: PLC0415
+    from bayes_rs.mann import load_turbulence  # noqa: PLC0415
+
+    noise = run_calibration(
+        _load_scan(scan_options),
+        load_turbulence(turbulence),
+        wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
+        yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
+        duration=duration,
+        method=method,
+        n_boxes=n_boxes,
+        seed=seed,
+    )
+    noise.save(output, overwrite=overwrite)
+    for line in _noise_lines(noise):
+        click.echo(line)
+    click.echo(f"noise in {output}")
+
+
+@commands.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_scan_options
+@_reading_options
+@_record_options
+@click.option(
+    "--noise",
+    "noise_file",
+    type=click.Path(path_type=Path),
+    help="Noise file; by default the shipped or cached noise, or a calibration.",
+)
+@click.option(
+    "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
+)
+@click.option("--prior", default="weak", show_default=True, help="weak or flat.")
+@click.option("--target", default="record", show_default=True, help="record or ensemble: which R.")
+@click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
+@click.option(
+    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
+)
+@click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the credible intervals.")
+@click.option(
+    "--derived", multiple=True, help="More rows in the summary: ti, tke, friction_velocity, anisotropy_2, anisotropy_3."
+)
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
+def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+    """Estimate the Reynolds stresses of every record, with credible intervals.
+
+    FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
+    """
+    from bayes_rs.job import run_fit  # noqa: PLC0415
+
+    made, scan = _make_records(files, options)
+    outcome = run_fit(
+        made,
+        scan,
+        output,
+        noise_file=options["noise_file"],
+        turbulence=options["turbulence"],
+        prior=options["prior"],
+        target=options["target"],
+        target_ess=options["target_ess"],
+        instrument_noise=options["instrument_noise"],
+        prob=options["prob"],
+        derived=options["derived"],
+        seed=options["seed"],
+        overwrite=overwrite,
+        say=lambda line: click.echo(line, err=True),
+        source_files=[file.name for file in files],
+    )
+    click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
+    for line in outcome.failures:
+        click.echo(line, err=True)
+    if outcome.failures:
+        sys.exit(EXIT_FLAGGED)
+
+
+@commands.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option(
+    "--record", default="0", show_default=True, help="Number of the record, or its start as 2020-09-04T12:00 (UTC)."
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Picture to write; by default corner-RECORD.png in FOLDER."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
+    """Draw the posterior of one record of a fit, with the outline of the prior."""
+    from bayes_rs.job import open_result  # noqa: PLC0415
+    from bayes_rs.output import output_file  # noqa: PLC0415
+    from bayes_rs.plots import plot_corner  # noqa: PLC0415
+
+    figure = plot_corner(open_result(folder), record)
+    picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
+    with output_file(picture, overwrite=overwrite) as part:
+        figure.savefig(part, dpi=130)  # type: ignore[attr-defined]
+    click.echo(str(picture))
+
+
+def _load_scan(options: dict[str, Any]) -> Scan:
+    from bayes_rs.scan_file import load_scan  # noqa: PLC0415
+
+    distances = options["focus_distance"]
+    return load_scan(
+        options["scan_name"],
+        opening_angle_deg=options["opening_angle_deg"],
+        focus_distance=list(distances) if distances else None,
+        tilt_deg=options["tilt_deg"],
+        yaw_deg=options["yaw_deg"],
+    )
+
+
+def _make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Any, Scan]:
+    """Read files and make records, or read records; say on stderr what was read and dropped."""
+    from bayes_rs.job import open_records  # noqa: PLC0415
+    from bayes_rs.readers import read_radial_velocity  # noqa: PLC0415
+    from bayes_rs.records import describe_report, make_records  # noqa: PLC0415
+
+    scan = _load_scan(options)
+    if len(files) == 1 and (made := open_records(files[0], scan)) is not None:
+        return made, scan
+    series = read_radial_velocity(
+        list(files),
+        scan,
+        file_format=options["file_format"],
+        columns=_pairs(options["columns"], "--column") or None,
+        beam_numbers={theirs: _whole(ours) for theirs, ours in _pairs(options["beam_numbers"], "--beam-number").items()}
+        or None,
+        positive=options["positive"],
+        velocity_unit=options["velocity_unit"],
+        invalid=list(options["invalid"]) or None,
+        time_zone=options["time_zone"],
+        separator=options["separator"],
+        decimal=options["decimal"],
+        status_valid=options["status_valid"],
+        out_of_order=options["out_of_order"],
+    )
+    made = make_records(
+        series,
+        scan,
+        duration=options["duration"],
+        min_availability=options["min_availability"],
+        cnr_range=options["cnr_range"],
+        despike=options["despike"],
+    )
+    for line in describe_report(made):
+        click.echo(line, err=True)
+    return made, scan
+
+
+def _pairs(texts: tuple[str, ...], option: str) -> dict[str, str]:
+    for text in texts:
+        if "=" not in text:
+            raise click.UsageError(f"{option} {text!r}: write it as NAME=NAME.")
+    return dict(text.split("=", 1) for text in texts)
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise click.UsageError(
+            f"--beam-number: {text!r} must be a whole number, the beam's number in the scan."
+        ) from error
+
+
+def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
+    from bayes_rs.noise import NoiseBank  # noqa: PLC0415
+
+    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    return [
+        f"wind {model.wind_speed:g} m/s: relative standard deviation of a beam variance "
+        f"{model.relative_error.min():.3f} to {model.relative_error.max():.3f}"
+        for model in models
+    ]

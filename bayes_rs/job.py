@@ -1,0 +1,233 @@
+"""The main job: records in, a folder of results out."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from bayes_rs._version import __version__
+from bayes_rs.errors import InputError
+from bayes_rs.fit import fit
+from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.output import output_folder, write_run
+from bayes_rs.result import FLAGS, check_result, flag_words, group
+from bayes_rs.scan import Scan
+from bayes_rs.summary import summary
+
+POSTERIOR_FILE = "posterior.nc"
+FAILURES = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["short_chain"] | FLAGS["ensembles_differ"]
+"""Flags that count as a failure of a record; the others are remarks."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a fit.
+
+    Parameters
+    ----------
+    result : DataTree
+        The result of `fit`.
+    table : DataFrame
+        Its summary.
+    n_record, n_fitted : int
+        Records that went in, and those that have a posterior.
+    failures : list of str
+        One line for each record that was not fitted or whose chain fell short.
+    """
+
+    result: xr.DataTree
+    table: pd.DataFrame
+    n_record: int
+    n_fitted: int
+    failures: list[str]
+
+
+def run_fit(
+    records: xr.Dataset,
+    scan: Scan,
+    output: str | Path,
+    *,
+    noise_file: str | Path | None = None,
+    turbulence: str = "fu-2022",
+    prior: str = "weak",
+    target: str = "record",
+    target_ess: int = 1000,
+    instrument_noise: float = 0.0,
+    prob: float = 0.9,
+    derived: Sequence[str] = (),
+    seed: int = 1,
+    overwrite: bool = False,
+    say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
+    source_files: Sequence[str] = (),
+) -> Outcome:
+    """Fit records and write the folder of results.
+
+    Parameters
+    ----------
+    records : Dataset
+        From `make_records`.
+    scan : Scan
+        The scan that measured them.
+    output : str or Path
+        Folder to make, with ``posterior.nc``, ``summary.csv``, ``records.nc``, ``stresses.png``, ``corner.png`` and
+        ``run.json``.
+    noise_file : str or Path, optional
+        Noise to use; by default what is shipped or cached for the scan, else a calibration.
+    turbulence : str
+        Turbulence of the noise, if no file is given.
+    prior, target, target_ess, instrument_noise, seed
+        As for `fit`.
+    prob, derived
+        As for `summary`.
+    overwrite : bool
+        Replace the folder of an earlier run.
+    say : callable
+        Takes lines that tell what is being done.
+    source_files : sequence of str
+        Names of the files that the records came from, for ``run.json``.
+
+    Returns
+    -------
+    outcome : Outcome
+        Result, summary and failures.
+
+    Raises
+    ------
+    InputError
+        If the folder may not be written, or input does not belong together.
+    """
+    from bayes_rs.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
+
+    with output_folder(output, overwrite=overwrite) as folder:
+        clock = [time.perf_counter()]
+        noise = _noise(records, scan, noise_file, turbulence, say)
+        clock.append(time.perf_counter())
+        result = fit(
+            records,
+            scan,
+            noise=noise,
+            seed=seed,
+            prior=prior,
+            target=target,
+            target_ess=target_ess,
+            instrument_noise=instrument_noise,
+        )
+        clock.append(time.perf_counter())
+        result.to_netcdf(folder / POSTERIOR_FILE, engine="h5netcdf")
+        records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+        table = summary(result, prob=prob, derived=derived)
+        table.to_csv(folder / "summary.csv", index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        clock.append(time.perf_counter())
+        flags = group(result, "sample_stats")["flag"].values
+        fitted = np.flatnonzero((flags & (FLAGS["no_usable_beam"] | FLAGS["no_wind"])) == 0)
+        plot_stresses(result, prob=prob).savefig(folder / "stresses.png", dpi=130)
+        if len(fitted):
+            plot_corner(result, int(fitted[0])).savefig(folder / "corner.png", dpi=130)  # type: ignore[attr-defined]
+        clock.append(time.perf_counter())
+        names = ("noise", "sampling", "summary", "figures")
+        write_run(
+            folder,
+            {
+                "bayes_rs": __version__,
+                "python": platform.python_version(),
+                "packages": {name: version(name) for name in ("emcee", "numpy", "scipy", "xarray")},
+                "source_files": list(source_files),
+                "scan": scan.name,
+                "scan_key": scan.key,
+                "scene": {key: _plain(value) for key, value in result.attrs.items() if key != "noise"},
+                "noise": json.loads(result.attrs["noise"]),
+                "instrument_noise": instrument_noise,
+                "n_record": len(flags),
+                "n_fitted": len(fitted),
+                "flags": {word: int(np.count_nonzero(flags & bit)) for word, bit in FLAGS.items()},
+                "seconds": {
+                    name: round(end - start, 3) for name, start, end in zip(names, clock, clock[1:], strict=False)
+                },
+            },
+        )
+    failures = [
+        f"{_record_name(result, index)}: {flag_words(flags[index])}"
+        for index in np.flatnonzero(flags & FAILURES).tolist()
+    ]
+    return Outcome(result, table, len(flags), len(fitted), failures)
+
+
+def open_result(folder: str | Path) -> xr.DataTree:
+    """Read the result from the folder that `run_fit` wrote.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no result, or one that cannot be read.
+    """
+    path = Path(folder) / POSTERIOR_FILE
+    if not path.is_file():
+        raise InputError(
+            f"No result in {str(folder)!r}: it has no {POSTERIOR_FILE}; give the output folder of bayes-rs fit."
+        )
+    try:
+        tree = xr.open_datatree(path, engine="h5netcdf")
+        loaded = tree.load()
+        tree.close()
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"File {str(path)!r} cannot be read as a result: {error}; run the fit again.") from error
+    return check_result(loaded)
+
+
+def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
+    """Read records that were written before; None if the file is something else, such as radial velocities.
+
+    Raises
+    ------
+    InputError
+        If the records were made with another scan.
+    """
+    file = Path(path)
+    if file.suffix not in (".nc", ".nc4") or not file.is_file():
+        return None
+    try:
+        dataset = xr.load_dataset(file, engine="h5netcdf")
+    except (OSError, ValueError):
+        return None  # the reader of radial velocities says what is wrong with it
+    if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
+        return None
+    key = dataset.attrs.get("scan_key", scan.key)
+    if key != scan.key:
+        raise InputError(
+            f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
+            f"{scan.name!r}: name that scan, with the same options."
+        )
+    return dataset
+
+
+def _noise(
+    records: xr.Dataset, scan: Scan, noise_file: str | Path | None, turbulence: str, say: Callable[[str], None]
+) -> NoiseModel | NoiseBank:
+    if noise_file is not None:
+        return load_noise(noise_file)
+    from bayes_rs.calibrate import noise_for_records  # noqa: PLC0415 - not needed with a file
+    from bayes_rs.mann import load_turbulence  # noqa: PLC0415
+
+    noise, words = noise_for_records(records, scan.select(records["beam"].values), load_turbulence(turbulence))
+    say(words)
+    return noise
+
+
+def _record_name(result: xr.DataTree, index: int) -> str:
+    coords = group(result, "observed_data").coords
+    start = f" ({np.datetime_as_string(coords['time'].values[index], unit='m')})" if "time" in coords else ""
+    return f"record {index}{start}"
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,165 @@
+"""Entries of a file as numbers, times and beams: each converted or refused with its place in the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.table import Column
+from bayes_rs.scan import Scan
+
+BoolArray = NDArray[np.bool_]
+_WITH_OFFSET = r":\d{2}.*(?:Z|z|[+-]\d{2}(?::?\d{2})?)$"
+
+
+def numbers(column: Column, file_format: FileFormat) -> tuple[FloatArray, BoolArray]:
+    """Return a column as float64, NaN where an entry is missing, and which entries held an invalid value.
+
+    Raises
+    ------
+    InputError
+        If an entry is text.
+    """
+    if pd.api.types.is_numeric_dtype(column.values.dtype):
+        values = column.values.to_numpy(dtype=np.float64, na_value=np.nan)
+    else:
+        text = _as_text(column.values, file_format)
+        values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+        bad = np.isnan(values) & (text.notna() & (text != "") & (text.str.lower() != "nan")).to_numpy(dtype=bool)
+        if bad.any():
+            index = int(np.argmax(bad))
+            raise InputError(
+                f"Invalid {column.name} {str(column.values.iloc[index])!r} in {column.where(index)}: it must be a "
+                "number; correct the entry, or leave it empty if the value is missing."
+            )
+    is_invalid = file_format.is_invalid(values)
+    return np.where(is_invalid | ~np.isfinite(values), np.nan, values), is_invalid
+
+
+def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime64], BoolArray]:
+    """Return a column as UTC times, NaT where an entry is missing, and which entries held an invalid value.
+
+    Raises
+    ------
+    InputError
+        If an entry is not a date and time, or is not one time in the file's zone.
+    """
+    raw = column.values
+    if isinstance(raw.dtype, pd.DatetimeTZDtype):
+        return _as_ns(raw.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(raw), dtype=bool)
+    if pd.api.types.is_datetime64_dtype(raw.dtype):
+        return _to_utc(raw, column, file_format), np.zeros(len(raw), dtype=bool)
+    text = _as_text(raw, file_format)
+    is_number = pd.to_numeric(text.mask(text.str.contains(":", regex=False)), errors="coerce")
+    is_invalid = file_format.is_invalid(is_number.to_numpy(dtype=np.float64, na_value=np.nan))
+    known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
+    parsed = pd.to_datetime(text.where(known), format="ISO8601", utc=True, errors="coerce")
+    in_range = (parsed > pd.Timestamp.min.tz_localize("UTC")) & (parsed < pd.Timestamp.max.tz_localize("UTC"))
+    bad = known & (~in_range.to_numpy(dtype=bool) | is_number.notna().to_numpy(dtype=bool))
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise InputError(
+            f"Invalid time {str(raw.iloc[index])!r} in {column.where(index)}: it must be a date and time in ISO 8601, "
+            "such as 2020-09-03T19:00:01.5 or 2020-09-03 20:00:01+01:00; correct the entry."
+        )
+    naive = parsed.dt.tz_localize(None)
+    with_offset = text.str.contains(_WITH_OFFSET, regex=True, na=False).to_numpy(dtype=bool)
+    if with_offset.all() or (with_offset | ~known).all():
+        return _as_ns(naive), is_invalid
+    converted = _to_utc(naive.where(~with_offset), column, file_format)
+    return np.where(with_offset, _as_ns(naive), converted), is_invalid
+
+
+def beams(column: Column, scan: Scan, file_format: FileFormat) -> tuple[NDArray[np.int64], BoolArray, BoolArray]:
+    """Return a column as beam numbers of the scan, which entries are missing, and which held an invalid value.
+
+    Raises
+    ------
+    InputError
+        If a beam is not one of the scan's.
+    """
+    code, labels = pd.factorize(column.values)
+    number_of = np.zeros(len(labels) + 1, dtype=np.int64)  # the last stands for entries without a value
+    is_missing, is_invalid = (np.zeros(len(labels) + 1, dtype=bool) for _ in range(2))
+    is_missing[-1] = True
+    for index, raw in enumerate(labels):
+        label = beam_label(raw)
+        if label == "" or label.lower() == "nan" or bool(file_format.is_invalid(_as_float(label))):
+            is_missing[index], is_invalid[index] = True, label not in ("", "nan")
+            continue
+        number = beam_number(label, scan, file_format)
+        if number is None:
+            raise unknown_beam(label, column.where(int(np.argmax(code == index))), scan, file_format)
+        number_of[index] = number
+    return number_of[code], is_missing[code], is_invalid[code]
+
+
+def beam_label(raw: object) -> str:
+    """Return what the file writes for a beam as text, without the decimals of a whole number."""
+    if isinstance(raw, (float, np.floating)) and float(raw).is_integer():
+        return str(int(raw))
+    return str(raw).strip()
+
+
+def beam_number(label: str, scan: Scan, file_format: FileFormat) -> int | None:
+    """Return the scan's number of the beam that the file calls `label`, or None if it has none."""
+    if file_format.beam_numbers:
+        number = file_format.beam_numbers.get(label)
+        if number is None:  # the file may write 2.0 or 02 for 2
+            value = _as_float(label)
+            number = file_format.beam_numbers.get(beam_label(float(value))) if np.isfinite(value) else None
+    else:
+        value = _as_float(label)
+        number = int(value) if np.isfinite(value) and float(value).is_integer() else None
+    return number if number is not None and number in scan.beam else None
+
+
+def unknown_beam(label: str, where: str, scan: Scan, file_format: FileFormat) -> InputError:
+    """Return the error to raise for a beam that the scan does not have."""
+    used = f" by beam_numbers={dict(file_format.beam_numbers)}" if file_format.beam_numbers else ""
+    return InputError(
+        f"Unknown beam {label!r} in {where}: it is not{used} one of the beams of scan {scan.name!r}, "
+        f"{_shortened(scan.beam.tolist())}; map it with the option beam_numbers={{{label!r}: number}}, "
+        "or give the scan that the file was measured with."
+    )
+
+
+def _as_text(values: pd.Series[Any], file_format: FileFormat) -> pd.Series[Any]:
+    text = values.astype("string").str.strip()
+    return text.str.replace(",", ".", regex=False) if file_format.decimal == "," else text
+
+
+def _as_float(label: str) -> FloatArray:
+    try:
+        return np.asarray(float(label))
+    except ValueError:
+        return np.asarray(np.nan)
+
+
+def _as_ns(values: pd.Series[Any]) -> NDArray[np.datetime64]:
+    return values.to_numpy().astype("datetime64[ns]")
+
+
+def _to_utc(values: pd.Series[Any], column: Column, file_format: FileFormat) -> NDArray[np.datetime64]:
+    local = values.dt.tz_localize(file_format.zone, ambiguous="NaT", nonexistent="NaT")
+    lost = (local.isna() & values.notna()).to_numpy(dtype=bool)
+    if lost.any():
+        index = int(np.argmax(lost))
+        raise InputError(
+            f"Invalid time {str(column.values.iloc[index])!r} in {column.where(index)}: the clock change makes it "
+            f"twice or not at all a time in {file_format.time_zone}; if the instrument keeps one offset all year, "
+            "give that, for example time_zone='UTC+1'."
+        )
+    return _as_ns(local.dt.tz_convert("UTC").dt.tz_localize(None))
+
+
+def _shortened(numbers: Sequence[int]) -> str:
+    listed = [str(number) for number in numbers]
+    return ", ".join(listed) if len(listed) <= 12 else f"{', '.join(listed[:5])} … {listed[-1]}"

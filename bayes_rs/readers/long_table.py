@@ -1,0 +1,71 @@
+"""Long tables: one row per sample, with a time, a beam and a radial velocity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bayes_rs.readers.entries import beams, numbers, times
+from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.samples import Samples
+from bayes_rs.readers.table import Table, open_table
+from bayes_rs.scan import Scan
+
+ALSO_STATUS = "quality"
+
+
+def looks_long(table: Table) -> bool:
+    """Say whether a table is long: it has a column for the beam or for the radial velocity."""
+    return table.has("beam") or table.has("radial_velocity")
+
+
+def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
+    """Read a long CSV or Parquet file.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or an entry cannot be used.
+    """
+    table = open_table(file, file_format)
+    heading = {name: file_format.column(name) for name in ("time", "beam", "radial_velocity", "cnr", "status")}
+    if "status" not in file_format.columns and not table.has("status") and ALSO_STATUS in table.headings:
+        heading["status"] = ALSO_STATUS
+    for name in ("time", "beam", "radial_velocity", "cnr", "status"):
+        must = name in ("time", "beam", "radial_velocity") or name in file_format.required
+        if heading[name] not in table.headings:
+            if must:
+                raise table.missing(name)
+            del heading[name]
+    frame = table.read(list(dict.fromkeys(heading.values())), text=[heading["time"], heading["beam"]])
+    column = {name: table.column(frame, name, heading[name]) for name in heading}
+    time, invalid = times(column["time"], file_format)
+    beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
+    invalid = invalid | invalid_beam
+    value = {}
+    for name in ("radial_velocity", "cnr", "status"):
+        if name in column:
+            value[name], invalid_value = numbers(column[name], file_format)
+            invalid = invalid | invalid_value
+    no_time = np.isnat(time)
+    keep = ~(no_time | no_beam)
+    return Samples(
+        file=file,
+        kind="long",
+        file_format=file_format,
+        time=time[keep],
+        beam=beam[keep],
+        radial_velocity=file_format.to_away(value["radial_velocity"][keep]),
+        cnr=value["cnr"][keep] if "cnr" in value else None,
+        status=value["status"][keep] if "status" in value else None,
+        row=np.flatnonzero(keep) + column["time"].first_row,
+        row_word=column["time"].row_word,
+        counts={
+            "rows": len(frame),
+            "rows_invalid_value": int(invalid.sum()),
+            "rows_dropped": int((~keep).sum()),
+            "rows_without_time": int(no_time.sum()),
+            "rows_without_beam": int(no_beam.sum()),
+        },
+    )

@@ -1,0 +1,130 @@
+"""NetCDF files: the names of the long table as variables, over samples or over time and beam."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from bayes_rs.errors import InputError
+from bayes_rs.readers.entries import beams, numbers, times
+from bayes_rs.readers.format import VELOCITY_UNITS, FileFormat
+from bayes_rs.readers.samples import Samples
+from bayes_rs.readers.table import Column
+from bayes_rs.scan import Scan
+
+SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
+_UNITS = {**{unit: unit for unit in VELOCITY_UNITS}, "m s-1": "m/s", "m s^-1": "m/s", "km h-1": "km/h", "knots": "knot"}
+
+
+def describes_itself(file: Path) -> bool:
+    """Say whether a NetCDF file has a variable radial_velocity with its sign: then no preset speaks for it."""
+    with _open(file) as dataset:
+        return "positive" in dataset.variables.get("radial_velocity", xr.Variable((), 0.0)).attrs
+
+
+def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
+    """Read a NetCDF file; its times are in UTC by the CF conventions.
+
+    Raises
+    ------
+    InputError
+        If a variable is missing or has the wrong dimensions, or an entry cannot be used.
+    """
+    with _open(file) as dataset:
+        column = _flatten(dataset, file, file_format)
+    time, invalid = times(column["time"], replace(file_format, time_zone="UTC"))
+    beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
+    invalid = invalid | invalid_beam
+    value = {}
+    for name in ("radial_velocity", "cnr", "status"):
+        if name in column:
+            value[name], invalid_value = numbers(column[name], file_format)
+            invalid = invalid | invalid_value
+    no_time = np.isnat(time)
+    keep = ~(no_time | no_beam)
+    return Samples(
+        file=file,
+        kind="netcdf",
+        file_format=file_format,
+        time=time[keep],
+        beam=beam[keep],
+        radial_velocity=file_format.to_away(value["radial_velocity"][keep]),
+        cnr=value["cnr"][keep] if "cnr" in value else None,
+        status=value["status"][keep] if "status" in value else None,
+        row=np.flatnonzero(keep) + 1,
+        row_word="sample",
+        counts={
+            "rows": len(keep),
+            "rows_invalid_value": int(invalid.sum()),
+            "rows_dropped": int((~keep).sum()),
+            "rows_without_time": int(no_time.sum()),
+            "rows_without_beam": int(no_beam.sum()),
+        },
+    )
+
+
+def own_options(file: Path) -> dict[str, Any]:
+    """Return what a file that describes itself says about sign, unit and status."""
+    with _open(file) as dataset:
+        attributes = dataset.variables["radial_velocity"].attrs
+        options: dict[str, Any] = {"positive": attributes["positive"]}
+        if "units" in attributes:
+            unit = str(attributes["units"])
+            if unit not in _UNITS:
+                raise InputError(
+                    f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
+                    f"they must be one of {', '.join(_UNITS)}; correct the attribute."
+                )
+            options["velocity_unit"] = _UNITS[unit]
+        if "status_valid" in dataset.attrs:
+            options["status_valid"] = float(dataset.attrs["status_valid"])
+        return options
+
+
+def _open(file: Path) -> xr.Dataset:
+    try:
+        return xr.open_dataset(file)
+    except (OSError, ValueError, KeyError) as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"File {str(file)!r} cannot be read as NetCDF: {reason}; check that it is complete and not damaged."
+        ) from error
+
+
+def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:
+    found = {}
+    for name in ("radial_velocity", "time", "beam", "cnr", "status"):
+        own = file_format.column(name)
+        if own not in dataset.variables and name == "status" and "quality" in dataset.variables:
+            own = "quality"
+        if own in dataset.variables:
+            found[name] = dataset[own]
+        elif name not in ("cnr", "status") or name in file_format.required:
+            raise InputError(
+                f"File {str(file)!r} has no variable {own!r} for {name}: its variables are "
+                f"{', '.join(repr(str(variable)) for variable in dataset.variables)}; "
+                f"say what the file calls it with the option columns={{{name!r}: 'name in the file'}}."
+            )
+    velocity = _without_coordinates(found["radial_velocity"])
+    if velocity.size == 0:
+        raise InputError(f"File {str(file)!r} has no sample: give a file with samples.")
+    columns = {}
+    for name, variable in found.items():
+        if not set(variable.dims) <= set(velocity.dims):
+            raise InputError(
+                f"Variable {str(variable.name)!r} in file {str(file)!r} has the dimensions {variable.dims}: they must "
+                f"be among those of the radial velocity, {velocity.dims}."
+            )
+        spread = _without_coordinates(variable).broadcast_like(velocity).transpose(*velocity.dims)
+        values = pd.Series(spread.to_numpy().ravel())
+        columns[name] = Column(name, str(variable.name), values, file, "sample", 1)
+    return columns
+
+
+def _without_coordinates(variable: xr.DataArray) -> xr.DataArray:
+    return variable.drop_vars(list(variable.coords))

@@ -1,0 +1,14 @@
+"""Fixtures that several test files share."""
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def iea_folder() -> Path:
+    """Folder of the measured nacelle-lidar data, which may not be copied into the project."""
+    folder = Path(__file__).parents[1].parent / "shared" / "data" / "iea-round-robin"
+    if not folder.is_dir():
+        pytest.skip(f"NOT TESTED ON MEASURED DATA: no folder {folder}, see ../shared/data/iea-round-robin/README.md")
+    return folder

@@ -1,0 +1,142 @@
+"""The likelihood: against the textbook density, its reduction, and its refusals."""
+
+import numpy as np
+import pytest
+from scenes import draw_variances, plain_noise
+from scipy import stats
+
+from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
+from bayes_rs.forward import design_matrix
+from bayes_rs.likelihood import log_normal_likelihood
+from bayes_rs.prior import WeakPrior
+
+
+def build(scan, variance, used=None, *, covariance=None, offset=0.0):
+    n_record, n_beam = variance.shape
+    matrix = plain_noise(scan).covariance if covariance is None else covariance
+    return log_normal_likelihood(
+        variance,
+        np.ones_like(variance, dtype=bool) if used is None else used,
+        np.broadcast_to(design_matrix(scan), (n_record, n_beam, 6)),
+        np.broadcast_to(matrix, (n_record, n_beam, n_beam)),
+        offset=offset,
+    )
+
+
+@pytest.fixture
+def stress():
+    return WeakPrior(log_sd_uu=0.5).draw(7, seed=1)
+
+
+def textbook(scan, covariance, variance, stress, offset=0.0):
+    """Log-density of ln y by scipy, one record and one tensor at a time."""
+    log_covariance = np.log(1.0 + covariance)
+    mean = np.log(design_matrix(scan) @ stress + offset) - 0.5 * np.diag(log_covariance)
+    return stats.multivariate_normal(mean, log_covariance).logpdf(np.log(variance))
+
+
+@pytest.mark.parametrize("name", ["staring", "2-beam", "4-beam", "5-beam", "6-beam"])
+def test_without_surplus_beams_it_is_the_textbook_density(name, stress):
+    scan = load_scan(name)
+    noise = plain_noise(scan)
+    variance = draw_variances(stress, scan, noise, np.random.default_rng(2))
+    density = build(scan, variance, offset=0.02).log_density(np.broadcast_to(stress, (7, 7, 6)))
+    expected = [[textbook(scan, noise.covariance, y, r, 0.02) for r in stress] for y in variance]
+    np.testing.assert_allclose(density, expected, rtol=1e-9)  # condition of K below 1e4, rounding
+
+
+def test_moments_are_those_of_the_noise_model():
+    """E[y] = A R and Cov[y_a, y_b] = K_ab E[y_a] E[y_b]: the claim on which everything rests."""
+    scan = load_scan("6-beam", opening_angle_deg=40.0)
+    noise = plain_noise(scan)
+    stress = WeakPrior().draw(1, seed=5)
+    n_draw = 200_000
+    variance = draw_variances(np.repeat(stress, n_draw, axis=0), scan, noise, np.random.default_rng(3))
+    expected = design_matrix(scan) @ stress[0]
+    np.testing.assert_allclose(variance.mean(axis=0), expected, rtol=5.0 * np.sqrt(0.06 / n_draw))
+    relative = np.cov((variance / expected).T)
+    np.testing.assert_allclose(relative, noise.covariance, atol=5.0 * 0.06 * np.sqrt(3.0 / n_draw))
+
+
+@pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar", "staring-planes"])
+def test_reduced_density_is_that_of_the_projected_data(name, stress):
+    """Any orthonormal basis of the column space at the reference shape, by another route than the code's."""
+    from bayes_rs.likelihood import REFERENCE_STRESS  # noqa: PLC0415
+
+    scan = load_scan(name)
+    noise = plain_noise(scan)
+    variance = draw_variances(stress, scan, noise, np.random.default_rng(4))
+    matrix = design_matrix(scan)
+    gradient = matrix / (matrix @ REFERENCE_STRESS)[:, None]
+    values, vectors = np.linalg.eigh(gradient @ gradient.T)
+    basis = vectors[:, values > 1e-12 * values[-1]]
+    log_covariance = np.log(1.0 + noise.covariance)
+    mean = (np.log(matrix @ stress.T).T - 0.5 * np.diag(log_covariance)) @ basis
+    expected = [
+        [stats.multivariate_normal(m, basis.T @ log_covariance @ basis).logpdf(np.log(y) @ basis) for m in mean]
+        for y in variance
+    ]
+    likelihood = build(scan, variance)
+    assert set(likelihood.n_datum) == {basis.shape[1]}
+    density = likelihood.log_density(np.broadcast_to(stress, (7, 7, 6)))
+    np.testing.assert_allclose(density, expected, rtol=1e-6)  # the eigenvectors of a Gram matrix lose half the digits
+
+
+def test_a_beam_that_is_not_used_changes_nothing(stress):
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    variance = draw_variances(stress, scan, noise, np.random.default_rng(5))
+    used = np.ones_like(variance, dtype=bool)
+    used[:, 2] = False
+    spoiled = variance.copy()
+    spoiled[:, 2] = np.nan
+    some = np.array([0, 1, 3, 4, 5])
+    smaller = build(scan.select(some), variance[:, some], covariance=noise.covariance[np.ix_(some, some)])
+    tensors = np.broadcast_to(stress, (7, 7, 6))
+    np.testing.assert_allclose(
+        build(scan, spoiled, used).log_density(tensors), smaller.log_density(tensors), rtol=1e-10
+    )
+
+
+def test_the_order_of_the_beams_does_not_matter(stress):
+    scan = load_scan("51-beam")
+    variance = draw_variances(stress, scan, plain_noise(scan), np.random.default_rng(6))
+    order = np.random.default_rng(7).permutation(51)
+    tensors = np.broadcast_to(stress, (7, 7, 6))
+    there = build(scan, variance).log_density(tensors)
+    turned = build(scan.select(order), variance[:, order]).log_density(tensors)
+    np.testing.assert_allclose(turned, there, rtol=1e-8)
+
+
+def test_scaling_of_data_and_stress_shifts_nothing_but_nothing(stress):
+    """ln y and ln A R move together: the density of ln y is unchanged under a change of units."""
+    scan = load_scan("6-beam")
+    variance = draw_variances(stress, scan, plain_noise(scan), np.random.default_rng(8))
+    tensors = np.broadcast_to(stress, (7, 7, 6))
+    for factor in (1e-8, 1e4):
+        np.testing.assert_allclose(
+            build(scan, factor * variance).log_density(factor * tensors),
+            build(scan, variance).log_density(tensors),
+            rtol=1e-9,
+        )
+
+
+class TestRefusals:
+    def test_singular_noise(self):
+        scan = load_scan("2-beam")
+        with pytest.raises(
+            NotPositiveDefiniteError, match=r"noise of record 0 is singular: the smallest eigenvalue"
+        ) as e:
+            build(scan, np.ones((1, 2)), covariance=np.full((2, 2), 0.06))
+        assert abs(e.value.smallest_eigenvalue) < 1e-15
+
+    def test_no_beam(self):
+        with pytest.raises(InputError, match=r"Record 1 has no usable beam"):
+            build(load_scan("2-beam"), np.ones((2, 2)), np.array([[True, True], [False, False]]))
+
+    @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+    def test_a_variance_that_is_not_positive(self, value):
+        with pytest.raises(
+            InputError, match=r"Invalid variance .* of record 0, beam 1: it must be positive; flag the beam"
+        ):
+            build(load_scan("2-beam"), np.array([[1.0, value]]))

@@ -1,0 +1,231 @@
+"""Scans: geometry, presets, TOML files and what is wrong with bad ones."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayes_rs import InputError, Scan, load_scan
+from bayes_rs.models import models_folder, preset_names
+from bayes_rs.scan import tilt_matrix, yaw_matrix
+from bayes_rs.scan_file import cone_direction
+
+ANGLE = st.floats(-np.pi, np.pi)
+
+
+class TestGeometry:
+    def test_beam_vector_is_the_documented_one(self):
+        opening, phase = np.deg2rad(15.0), np.deg2rad(30.0)
+        expected = [-np.cos(opening), np.cos(phase) * np.sin(opening), np.sin(phase) * np.sin(opening)]
+        np.testing.assert_allclose(cone_direction(opening, phase), expected, rtol=1e-15)
+
+    def test_positive_tilt_raises_the_upwind_beam(self):
+        scan = load_scan("staring", tilt_deg=5.0)
+        np.testing.assert_allclose(
+            scan.line_of_sight[0], [-np.cos(np.deg2rad(5.0)), 0.0, np.sin(np.deg2rad(5.0))], atol=1e-15
+        )
+
+    def test_matrices_are_the_documented_ones(self):
+        cosine, sine = np.cos(0.3), np.sin(0.3)
+        np.testing.assert_allclose(tilt_matrix(0.3), [[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]], rtol=1e-15)
+        np.testing.assert_allclose(yaw_matrix(0.3), [[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], rtol=1e-15)
+
+    @given(ANGLE, ANGLE, st.floats(0.0, np.pi / 2), ANGLE)
+    def test_lines_of_sight_are_unit_vectors_at_any_mounting(self, tilt, yaw, opening, phase):
+        scan = Scan(
+            "one",
+            cone_direction(np.array([opening]), np.array([phase])),
+            focus_distance=np.array([100.0]),
+            beam_time=np.array([0.0]),
+            scan_duration=1.0,
+            tilt=tilt,
+            yaw=yaw,
+        )
+        assert np.linalg.norm(scan.line_of_sight) == pytest.approx(1.0, abs=1e-14)
+
+    @given(ANGLE)
+    def test_at_yaw_is_the_same_as_mounting_with_that_yaw(self, yaw):
+        scan = load_scan("6-beam", tilt_deg=3.0)
+        np.testing.assert_allclose(scan.at_yaw(yaw), scan.with_yaw(yaw).line_of_sight, atol=1e-15)
+
+
+class TestPresets:
+    @pytest.mark.parametrize("name", preset_names("scans"))
+    def test_every_preset_loads_and_names_its_source(self, name):
+        scan = load_scan(name)
+        assert scan.title
+        assert len(scan.source) > 20
+
+    @pytest.mark.parametrize(
+        ("name", "n_beam"),
+        [("staring", 1), ("2-beam", 2), ("4-beam", 4), ("5-beam", 5), ("6-beam", 6), ("50-beam", 50), ("51-beam", 51)],
+    )
+    def test_instruments_of_the_study(self, name, n_beam):
+        scan = load_scan(name)
+        angle = np.rad2deg(np.arccos(-scan.line_of_sight[:, 0]))
+        centre = {"staring": 1, "5-beam": 1, "6-beam": 1, "51-beam": 1}.get(name, 0)
+        assert scan.n_beam == n_beam
+        assert np.count_nonzero(angle < 1e-6) == centre
+        np.testing.assert_allclose(angle[angle > 1e-6], 15.0, rtol=1e-12)
+        assert set(scan.focus_distance) == {98.0}
+
+    def test_spinnerlidar_is_a_rosette_within_30_degrees(self):
+        scan = load_scan("spinnerlidar")
+        angle = np.rad2deg(np.arccos(-scan.line_of_sight[:, 0]))
+        assert scan.n_beam == 400
+        assert angle.min() < 0.5
+        assert angle.max() == pytest.approx(30.0, abs=1e-9)
+        assert (scan.scan_duration, set(scan.focus_distance)) == (2.0, {52.0})
+
+    def test_zx_tm(self):
+        scan = load_scan("zx-tm")
+        assert (scan.n_beam, scan.scan_duration, set(scan.focus_distance)) == (50, 1.0, {50.0})
+        assert np.rad2deg(scan.tilt) == pytest.approx(5.3)
+
+    def test_zx_300_looks_up_at_the_heights_of_its_source(self):
+        scan = load_scan("zx-300")
+        height = (scan.focus_distance * scan.line_of_sight[:, 2]).reshape(11, 50)
+        expected = np.array([10.0, 20, 30, 38, 50, 75, 100, 150, 200, 250, 300])[:, None] * np.ones(50)
+        np.testing.assert_allclose(height, expected, rtol=1e-5)  # the file gives distances to 0.1 mm
+
+    def test_lower_beams_of_the_pulsed_lidar_are_level_and_28_degrees_apart(self):
+        scan = load_scan("pulsed-4-beam").select([2, 3])
+        left, right = scan.line_of_sight
+        assert np.rad2deg(np.arcsin(scan.line_of_sight[:, 2])) == pytest.approx([-0.15, -0.15], abs=0.01)
+        assert np.rad2deg(np.arccos(left @ right)) == pytest.approx(28.4, abs=0.15)
+        assert left[1] < 0.0 < right[1]
+
+    @pytest.mark.parametrize("base", ["staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam"])
+    def test_plane_variants_repeat_the_beams_at_five_distances(self, base):
+        one, five = load_scan(base), load_scan(f"{base}-planes")
+        np.testing.assert_array_equal(five.line_of_sight.reshape(5, -1, 3), np.tile(one.line_of_sight, (5, 1, 1)))
+        assert sorted(set(five.focus_distance)) == [49.0, 72.0, 98.0, 121.0, 142.0]
+        assert five.beam.tolist() == list(range(5 * one.n_beam))
+
+    def test_presets_are_found_beside_the_package_and_named_when_unknown(self):
+        assert models_folder("scans").is_dir()
+        with pytest.raises(InputError, match=r"No preset '7-beam' in models/scans: use one of 2-beam, .*zx-tm"):
+            load_scan("7-beam")
+
+
+class TestOverrides:
+    def test_opening_angle_focus_distance_tilt_and_yaw(self):
+        scan = load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0, tilt_deg=2.0, yaw_deg=-10.0)
+        np.testing.assert_allclose(scan.beam_direction[:5, 0], -np.cos(np.pi / 4))
+        assert set(scan.focus_distance) == {52.0}
+        assert (np.rad2deg(scan.tilt), np.rad2deg(scan.yaw)) == pytest.approx((2.0, -10.0))
+
+    def test_several_focus_distances_make_planes(self):
+        assert load_scan("4-beam", focus_distance=[50.0, 100.0]).n_beam == 8
+
+    def test_opening_angle_of_listed_beams_is_refused(self):
+        with pytest.raises(InputError, match=r"lists its beams one by one, so opening_angle_deg=20.0 does not apply"):
+            load_scan("pulsed-4-beam", opening_angle_deg=20.0)
+
+    @pytest.mark.parametrize("distance", [-98.0, 0.0, np.nan, np.inf])
+    def test_bad_focus_distance_is_refused(self, distance):
+        with pytest.raises(InputError, match=r"Invalid scan file .*6-beam.toml': beams.focus_distance"):
+            load_scan("6-beam", focus_distance=distance)
+
+
+class TestKey:
+    def test_equal_geometry_has_an_equal_key_whatever_the_name_and_the_wind(self):
+        scan = load_scan("6-beam")
+        assert scan.key == load_scan("6-beam", yaw_deg=20.0).key
+
+    def test_anything_else_changes_it(self):
+        keys = {
+            load_scan("6-beam").key,
+            load_scan("6-beam", opening_angle_deg=16.0).key,
+            load_scan("6-beam", focus_distance=99.0).key,
+            load_scan("6-beam", tilt_deg=1.0).key,
+            load_scan("6-beam").select([0, 1, 2, 3, 4]).key,
+        }
+        assert len(keys) == 5
+
+
+GOOD = """
+title = "Two beams"
+source = "made up for a test of the file format"
+[beams]
+pattern = "list"
+focus_distance = [100.0]
+beam = [{ id = 4, vector = [-2.0, 0.0, 0.0] }, { id = 7, opening_angle_deg = 15.0, phase_deg = 90.0 }]
+[timing]
+scan_duration = 2.0
+"""
+
+
+class TestFiles:
+    @pytest.fixture
+    def write(self, tmp_path):
+        def write(text):
+            path = tmp_path / "mine.toml"
+            path.write_text(text)
+            return path
+
+        return write
+
+    def test_a_file_of_ones_own(self, write):
+        scan = load_scan(write(GOOD))
+        assert scan.name == "mine"
+        assert scan.beam.tolist() == [4, 7]
+        np.testing.assert_allclose(scan.line_of_sight[0], [-1.0, 0.0, 0.0])
+        np.testing.assert_allclose(scan.beam_time, [0.0, 1.0])
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ('title = "Two beams"', 'titel = "Two beams"', r"mine.toml': title: required key is missing\."),
+            ("[timing]", 'colour = "red"\n[timing]', r"beams\.colour = 'red': unknown key; remove it or correct"),
+            ("[-2.0, 0.0, 0.0]", "[0.0, 0.0, 0.0]", r"beam\.0\.vector = .*the vector of a beam must not be zero"),
+            ("[100.0]", "[-100.0]", r"beams\.focus_distance\.0 = -100\.0: input should be greater than 0"),
+            ("[100.0]", "[]", r"beams\.focus_distance = \[\]: list should have at least 1 item"),
+            ("scan_duration = 2.0", "scan_duration = 0.0", r"timing\.scan_duration = 0\.0: input should be greater"),
+            (", phase_deg = 90.0", "", r"Beam 7 has no direction: give opening_angle_deg and phase_deg"),
+            ("id = 7", "id = 4", r"Invalid beam numbers \[4, 4\] in scan 'mine'"),
+            ('"list"', '"spiral"', r"pattern|spiral"),
+            ("[beams]", "[beams", r"is not valid TOML"),
+        ],
+    )
+    def test_what_is_wrong_is_said_in_one_line(self, write, old, new, message):
+        assert old in GOOD
+        with pytest.raises(InputError, match=message) as caught:
+            load_scan(write(GOOD.replace(old, new, 1)))
+        assert "\n" not in str(caught.value)
+
+    def test_missing_file(self, tmp_path):
+        with pytest.raises(
+            InputError, match=r"No file '.*none.toml': give the path of a TOML file, or one of the names"
+        ):
+            load_scan(tmp_path / "none.toml")
+
+    def test_shipped_files_say_nothing_that_the_schema_does_not_know(self):
+        for path in models_folder("scans").glob("*.toml"):
+            assert tomllib.loads(path.read_text())["source"]
+
+
+class TestScanObject:
+    def test_zero_vector_is_refused(self):
+        with pytest.raises(
+            InputError, match=r"Invalid direction \[0.0, 0.0, 0.0\] of beam 0 in scan 'x': its length is 0"
+        ):
+            Scan("x", np.zeros((1, 3)), np.array([1.0]), np.array([0.0]), 1.0)
+
+    def test_negative_focus_distance_is_refused(self):
+        with pytest.raises(InputError, match=r"Invalid focus_distance .*-5.* m in beam 0 of scan 'x': .* above zero"):
+            Scan("x", np.array([[-1.0, 0, 0]]), np.array([-5.0]), np.array([0.0]), 1.0)
+
+    def test_beam_time_outside_the_scan_is_refused(self):
+        with pytest.raises(InputError, match=r"Invalid beam_time in scan 'x': every time must be in \[0, 1\) s"):
+            Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([1.0]), 1.0)
+
+    def test_unknown_beam_is_refused(self):
+        with pytest.raises(InputError, match=r"Unknown beam 9 in scan '4-beam': its beams are \[0, 1, 2, 3\]"):
+            load_scan("4-beam").select([9])
+
+    def test_arrays_cannot_be_changed(self):
+        with pytest.raises(ValueError, match="read-only"):
+            load_scan("4-beam").focus_distance[0] = 1.0

@@ -1,0 +1,72 @@
+"""The Reynolds stress tensor: packing, rotation, realizability."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from bayes_rs import STRESSES, InputError
+from bayes_rs.scan import tilt_matrix, yaw_matrix
+from bayes_rs.stress import is_realizable, pack_stress, principal_variances, rotate_stress, unpack_stress
+
+STRESS = arrays(np.float64, 6, elements=st.floats(-5.0, 5.0))
+
+
+def test_order_of_the_six_stresses_is_the_documented_one():
+    assert STRESSES == ("uu", "vv", "ww", "uv", "uw", "vw")
+    tensor = unpack_stress([11.0, 22.0, 33.0, 12.0, 13.0, 23.0])
+    for name, value in zip(STRESSES, (11.0, 22.0, 33.0, 12.0, 13.0, 23.0), strict=True):
+        row, column = ("uvw".index(letter) for letter in name)
+        assert tensor[row, column] == tensor[column, row] == value
+
+
+@given(STRESS)
+def test_packing_undoes_unpacking(stress):
+    np.testing.assert_array_equal(pack_stress(unpack_stress(stress)), stress)
+
+
+class TestRotation:
+    """Laws of a change of frame."""
+
+    @given(STRESS, st.floats(-np.pi, np.pi), st.floats(-1.5, 1.5))
+    def test_keeps_the_principal_variances(self, stress, yaw, tilt):
+        rotation = tilt_matrix(tilt) @ yaw_matrix(yaw)
+        # rounding of a few products of numbers up to 5
+        np.testing.assert_allclose(
+            principal_variances(rotate_stress(stress, rotation)), principal_variances(stress), atol=1e-13
+        )
+
+    @given(STRESS, st.floats(-np.pi, np.pi), st.floats(-1.5, 1.5))
+    def test_of_beam_and_tensor_together_changes_no_variance(self, stress, yaw, tilt):
+        rotation = tilt_matrix(tilt) @ yaw_matrix(yaw)
+        beam = np.array([-0.6, 0.48, 0.64])
+        before = beam @ unpack_stress(stress) @ beam
+        turned = beam @ rotation
+        after = turned @ unpack_stress(rotate_stress(stress, rotation)) @ turned
+        assert after == pytest.approx(before, abs=1e-13)
+
+
+class TestRealizability:
+    def test_rank_one_tensors_are_on_the_edge_and_count_as_realizable(self):
+        velocity = np.random.default_rng(1).normal(size=(1000, 3))
+        assert is_realizable(pack_stress(velocity[:, :, None] * velocity[:, None, :])).all()
+
+    def test_a_correlation_above_one_is_not(self):
+        assert not is_realizable([1.0, 1.0, 1.0, 0.0, 1.01, 0.0])
+
+    def test_a_negative_variance_is_not(self):
+        assert not is_realizable([1.0, -0.01, 1.0, 0.0, 0.0, 0.0])
+
+    def test_three_pairwise_possible_correlations_can_be_impossible_together(self):
+        assert is_realizable([1.0, 1.0, 1.0, 0.9, 0.9, 0.9])
+        assert not is_realizable([1.0, 1.0, 1.0, 0.9, 0.9, -0.9])
+
+
+def test_bad_shapes_are_refused():
+    with pytest.raises(InputError, match=r"Invalid stress of shape \(5,\): the last dimension must hold uu, vv"):
+        unpack_stress(np.ones(5))
+    with pytest.raises(InputError, match=r"Invalid tensor of shape \(2, 3\): the last two dimensions must be 3 and 3"):
+        pack_stress(np.ones((2, 3)))
+    with pytest.raises(InputError, match="must be symmetric"):
+        pack_stress([[1.0, 0.5, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]])
