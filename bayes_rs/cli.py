@@ -188,7 +188,7 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
     help="Wind direction relative to the lidar axis, degrees; several make a bank.",
 )
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
-@click.option("--method", default="boxes", show_default=True, help="How the noise is calculated.")
+@click.option("--method", default="theory", show_default=True, help="theory or boxes.")
 @click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
@@ -206,7 +206,7 @@ def calibrate(
     **scan_options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
-    from bayes_rs.calibrate import calibrate as run_calibration  # noqa: PLC0415
+    from bayes_rs.calibration import calibrate as run_calibration  # noqa: PLC0415
     from bayes_rs.mann import load_turbulence  # noqa: PLC0415
 
     noise = run_calibration(
@@ -234,11 +234,12 @@ def calibrate(
     "--noise",
     "noise_file",
     type=click.Path(path_type=Path),
-    help="Noise file; by default the shipped or cached noise, or a calibration.",
+    help="Noise file; by default it is made for the records' wind speeds and directions.",
 )
 @click.option(
     "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
 )
+@click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
 @click.option("--prior", default="weak", show_default=True, help="weak or flat.")
 @click.option("--target", default="record", show_default=True, help="record or ensemble: which R.")
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
@@ -266,6 +267,7 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
         output,
         noise_file=options["noise_file"],
         turbulence=options["turbulence"],
+        noise_method=options["noise_method"],
         prior=options["prior"],
         target=options["target"],
         target_ess=options["target_ess"],

@@ -12,7 +12,7 @@ import pandas as pd
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.job import Outcome, run_fit
-from bayes_rs.models import models_folder
+from bayes_rs.models import demo_file, models_folder
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.records import make_records
@@ -34,6 +34,9 @@ TITLES = {
     "6-beam": "six beams: five at 15°, one along the axis",
     "50-beam": "fifty beams, all at 15°",
 }
+NOISE_FILES = {"6-beam-45": "6-beam-45deg-52m.nc", "6-beam": "6-beam.nc", "50-beam": "50-beam.nc"}
+"""Shipped noise, calibrated on boxes like those that the embedded hour was drawn from."""
+
 _RECORD = 2
 """The record that is drawn."""
 
@@ -66,9 +69,16 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
         outcomes = {}
         for name, (preset, options) in SCENES.items():
             scan = load_scan(preset, **options)
-            series = read_radial_velocity(models_folder("demo") / f"{name}.parquet", scan)
+            series = read_radial_velocity(demo_file(name), scan)
             records = make_records(series, scan)
-            outcome = run_fit(records, scan, folder / name, seed=seed, source_files=[f"{name}.parquet"])
+            outcome = run_fit(
+                records,
+                scan,
+                folder / name,
+                noise_file=models_folder("noise") / NOISE_FILES[name],
+                seed=seed,
+                source_files=[f"{name}.parquet"],
+            )
             outcomes[name] = outcome
             yield f"{TITLES[name]}: {outcome.n_fitted} of {outcome.n_record} records fitted"
         _side_by_side(outcomes, stresses).savefig(folder / "corner-side-by-side.png", dpi=110)
@@ -120,6 +130,7 @@ def _side_by_side(outcomes: dict[str, Outcome], truth: FloatArray) -> Any:
     results = [outcomes[name].result for name in shown]
     limits = corner_limits(results, [_RECORD] * len(shown))
     figure = Figure(figsize=(20.0, 10.4))
-    for panel, name, result in zip(figure.subfigures(1, len(shown)), shown, results, strict=True):
+    panels = np.atleast_1d(np.asarray(figure.subfigures(1, len(shown))))
+    for panel, name, result in zip(panels, shown, results, strict=True):
         plot_corner(result, _RECORD, truth=truth, limits=limits, title=TITLES[name], figure=panel)
     return figure

@@ -17,12 +17,12 @@ import xarray as xr
 
 from bayes_rs._version import __version__
 from bayes_rs.errors import InputError
-from bayes_rs.fit import fit
+from bayes_rs.fitting import fit
 from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
-from bayes_rs.summary import summary
+from bayes_rs.summarizing import summary
 
 POSTERIOR_FILE = "posterior.nc"
 FAILURES = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["short_chain"] | FLAGS["ensembles_differ"]
@@ -59,6 +59,7 @@ def run_fit(
     *,
     noise_file: str | Path | None = None,
     turbulence: str = "fu-2022",
+    noise_method: str = "theory",
     prior: str = "weak",
     target: str = "record",
     target_ess: int = 1000,
@@ -82,9 +83,11 @@ def run_fit(
         Folder to make, with ``posterior.nc``, ``summary.csv``, ``records.nc``, ``stresses.png``, ``corner.png`` and
         ``run.json``.
     noise_file : str or Path, optional
-        Noise to use; by default what is shipped or cached for the scan, else a calibration.
+        Noise to use; by default it is made for the wind speeds and directions of the records.
     turbulence : str
         Turbulence of the noise, if no file is given.
+    noise_method : str
+        ``"theory"`` or ``"boxes"``, if no file is given.
     prior, target, target_ess, instrument_noise, seed
         As for `fit`.
     prob, derived
@@ -110,7 +113,7 @@ def run_fit(
 
     with output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
-        noise = _noise(records, scan, noise_file, turbulence, say)
+        noise = _noise(records, scan, noise_file, turbulence, noise_method, say)
         clock.append(time.perf_counter())
         result = fit(
             records,
@@ -211,14 +214,20 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
 
 
 def _noise(
-    records: xr.Dataset, scan: Scan, noise_file: str | Path | None, turbulence: str, say: Callable[[str], None]
+    records: xr.Dataset,
+    scan: Scan,
+    noise_file: str | Path | None,
+    turbulence: str,
+    method: str,
+    say: Callable[[str], None],
 ) -> NoiseModel | NoiseBank:
     if noise_file is not None:
         return load_noise(noise_file)
-    from bayes_rs.calibrate import noise_for_records  # noqa: PLC0415 - not needed with a file
     from bayes_rs.mann import load_turbulence  # noqa: PLC0415
+    from bayes_rs.noise_choice import noise_for_records  # noqa: PLC0415 - not needed with a file
 
-    noise, words = noise_for_records(records, scan.select(records["beam"].values), load_turbulence(turbulence))
+    used = scan.select(records["beam"].values)
+    noise, words = noise_for_records(records, used, load_turbulence(turbulence), method=method)
     say(words)
     return noise
 

@@ -69,3 +69,33 @@ def find_model(name: str | Path, kind: str) -> Path:
         names = ", ".join(preset_names(kind))
         raise InputError(f"No preset {str(name)!r} in models/{kind}: use one of {names}, or the path of a .toml file.")
     return models_folder(kind) / f"{name}.toml"
+
+
+def demo_file(name: str) -> Path:
+    """Return the file of embedded radial velocities that the demo and the examples use.
+
+    Parameters
+    ----------
+    name : str
+        ``"6-beam-45"`` (the 6-beam scan at 45° and 52 m), ``"6-beam"`` or ``"50-beam"``.
+
+    Returns
+    -------
+    path : Path
+        A Parquet file: one simulated hour at 10 m/s, the same air for all three lidars.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+
+    Examples
+    --------
+    >>> demo_file("6-beam").name
+    '6-beam.parquet'
+    """
+    path = models_folder("demo") / f"{name}.parquet"
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in models_folder("demo").glob("*.parquet")))
+        raise InputError(f"No embedded data {name!r}: use one of {names}.")
+    return path

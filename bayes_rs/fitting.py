@@ -27,6 +27,8 @@ R_HAT_LIMIT = 1.05
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""
 _LEAST_STEPS = 64
+_PREDICT_EVERY = 16
+"""One in so many draws gives a draw of the posterior predictive distribution."""
 
 
 def fit(
@@ -154,7 +156,8 @@ def _sample_chunk(
 ) -> RecordDraws:
     """Sample records together; double the chains of those that miss the target until the budget is spent."""
     n_record = len(keys)
-    n_draw = max(_LEAST_STEPS, -(-2 * target_ess // N_CHAIN))
+    # a whole number of thinning blocks: chains are halved when they are extended, and every sixteenth draw predicts
+    n_draw = max(_LEAST_STEPS, _PREDICT_EVERY * -(-2 * target_ess // (N_CHAIN * _PREDICT_EVERY)))
     sampler = RecordSampler(likelihood, prior, seed, keys)
     everyone = np.arange(n_record)
     coordinate, acceptance = sampler.run(n_draw, everyone)
@@ -200,8 +203,8 @@ def _predict(
     usable: NDArray[np.bool_],
     sampler: RecordSampler,
 ) -> FloatArray:
-    """Draw radial variances from the posterior predictive distribution, for every sixteenth draw."""
-    some = stress[:, :, 15::16]
+    """Draw radial variances from the posterior predictive distribution."""
+    some = stress[:, :, _PREDICT_EVERY - 1 :: _PREDICT_EVERY]
     n_record, n_chain, n_some, _ = some.shape
     n_beam = likelihood.gain.shape[1]
     mean = some.reshape(n_record, -1, 6) @ likelihood.gain.swapaxes(-1, -2) + likelihood.offset[:, None, :]

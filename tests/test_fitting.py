@@ -6,12 +6,12 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, NoiseMismatchError, load_scan
-from bayes_rs.fit import fit
+from bayes_rs.fitting import fit
 from bayes_rs.forward import design_matrix
 from bayes_rs.noise import NoiseBank
 from bayes_rs.prior import FlatPrior, WeakPrior
 from bayes_rs.result import FLAGS
-from bayes_rs.summary import summary
+from bayes_rs.summarizing import summary
 
 
 def simulated(name, n_record, prior, seed, **overrides):
@@ -128,6 +128,12 @@ class TestFlags:
         assert float(stats_group["ess_bulk"].min()) >= 1000.0
         assert int(stats_group["n_step"].max()) > 64
         assert set(summary(result)["flag"]) == {""}
+
+    @pytest.mark.parametrize("target_ess", [1, 333, 1999, 2001])
+    def test_any_target_can_be_asked_for(self, scene, target_ess):
+        scan, noise, _, records = scene
+        result = fit(records.isel(record=[0]), scan, noise=noise, seed=1, target_ess=target_ess, prior="flat")
+        assert float(result["sample_stats/ess_bulk"].min()) >= target_ess
 
     def test_nothing_to_fit_is_a_result_too(self, scene):
         scan, noise, _, records = scene

@@ -1,0 +1,52 @@
+# Two commands do everything on a machine with python3 (3.11 or later) and make:
+#   make demo    runs the main job on embedded data
+#   make test    passes the tests
+# Set-up happens by itself, in .venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ENV := PYTHONNOUSERSITE=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test check notebooks data noise clean
+
+demo: $(VENV)/installed
+	$(ENV) $(BIN)/bayes-rs demo --overwrite
+
+test: $(VENV)/installed-test
+	$(ENV) $(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_OPTIONS)
+
+check: $(VENV)/installed-check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(ENV) $(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' -p no:cacheprovider bayes_rs README.md docs
+	$(ENV) $(BIN)/python notebooks/run_short.py
+	$(BIN)/nbstripout --verify notebooks/*.ipynb
+
+# what is shipped in models/, made again; needs hours, not minutes, for `noise`
+data: $(VENV)/installed-test
+	$(BIN)/python benchmarks/make_demo_data.py
+noise: $(VENV)/installed-test
+	$(BIN)/python benchmarks/calibrate_shipped_noise.py
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) "pip>=25.1"
+
+$(VENV)/installed: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable .
+	touch $@
+
+$(VENV)/installed-test: $(VENV)/installed
+	$(PIP) --editable ".[boxes]" --group test
+	touch $@
+
+$(VENV)/installed-check: $(VENV)/installed-test
+	$(PIP) --group check
+	touch $@
+
+clean:
+	rm -rf $(VENV) bayes-rs-demo dist build

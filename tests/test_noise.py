@@ -1,0 +1,326 @@
+"""Noise models and their files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from noise_checks import check_noise
+
+from bayes_rs.errors import InputError, NoiseMismatchError, NotPositiveDefiniteError
+from bayes_rs.forward import design_matrix
+from bayes_rs.mann import MannTurbulence
+from bayes_rs.models import models_folder
+from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.scan import Scan
+from bayes_rs.scan_file import load_scan
+
+FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="fu-2022")
+SHIPPED = {
+    "staring": load_scan("staring"),
+    "4-beam": load_scan("4-beam"),
+    "5-beam": load_scan("5-beam"),
+    "6-beam": load_scan("6-beam"),
+    "50-beam": load_scan("50-beam"),
+    "51-beam": load_scan("51-beam"),
+    "zx-tm": load_scan("zx-tm"),
+    "6-beam-45deg-52m": load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0),
+    "50-beam-45deg-52m": load_scan("50-beam", opening_angle_deg=45.0, focus_distance=52.0),
+    "pulsed-4-beam": load_scan("pulsed-4-beam"),
+}
+
+
+def make_noise(scan, *, wind_speed=10.0, yaw=0.0, **changes):
+    factor = np.random.default_rng(scan.n_beam).normal(size=(scan.n_beam, 2 * scan.n_beam))
+    numbers = {
+        "bias": np.full(scan.n_beam, -0.1),
+        "gain": design_matrix(scan),
+        "covariance": 0.06 * factor @ factor.T,
+        "beam": scan.beam,
+        "scan_name": scan.name,
+        "scan_geometry": scan.geometry(),
+        "wind_speed": wind_speed,
+        "yaw": yaw,
+        "duration": 600.0,
+        "turbulence": FLOW,
+        "method": "given",
+        "details": {"note": "made up", "numbers": [1, 2.5]},
+    }
+    return NoiseModel(**{**numbers, **changes})
+
+
+class TestEveryNoiseModel:
+    @pytest.mark.parametrize("name", ["staring", "6-beam", "pulsed-4-beam", "spinnerlidar"])
+    def test_given(self, name, tmp_path):
+        scan = load_scan(name)
+        check_noise(make_noise(scan), scan, tmp_path)
+
+    def test_with_standard_error_and_a_count(self, tmp_path):
+        scan = load_scan("4-beam")
+        check_noise(make_noise(scan, standard_error=np.full((4, 4), 0.01), n_realizations=12.5), scan, tmp_path)
+
+    def test_bank(self, tmp_path):
+        scan = load_scan("4-beam")
+        bank = NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (5.0, 10.0) for y in (-0.3, 0.3)))
+        check_noise(bank, scan, tmp_path)
+
+    @pytest.mark.parametrize("name", SHIPPED)
+    def test_shipped(self, name, tmp_path):
+        noise = load_noise(models_folder("noise") / f"{name}.nc")
+        check_noise(noise, SHIPPED[name], tmp_path)
+        for model in noise.models if isinstance(noise, NoiseBank) else (noise,):
+            assert model.method == "boxes"
+            assert model.duration == 600.0
+            assert model.details["n_boxes"] >= 150
+            np.testing.assert_allclose(model.gain, design_matrix(SHIPPED[name].at_yaw(model.yaw)), atol=1e-15)
+            assert np.all(model.bias < 0.0)
+            assert np.all(np.linalg.eigvalsh(model.covariance) > 0.0)
+            assert model.details["mean_deviation_sigmas"] < 5.0
+
+    def test_everything_shipped_is_tested(self):
+        assert {file.stem for file in models_folder("noise").glob("*.nc")} == set(SHIPPED)
+
+
+class TestShippedNumbers:
+    def test_relative_error_of_the_along_wind_variance_is_about_a_quarter(self):
+        noise = load_noise(models_folder("noise") / "staring.nc")
+        spread = float(noise.relative_error[0])
+        error = float(noise.standard_error[0, 0]) / (2.0 * spread)
+        # 0.2658 is what the boxes' spectrum gives by the formula of Isserlis, 0.2585 an infinite domain's;
+        # the rest is Monte Carlo, four standard errors
+        assert spread == pytest.approx(0.2658, abs=4.0 * error)
+        assert error < 0.01
+
+    def test_errors_of_neighbouring_beams_are_strongly_correlated(self):
+        correlation = load_noise(models_folder("noise") / "4-beam.nc").correlation
+        pairs = correlation[np.triu_indices(4, k=1)]
+        assert pairs.min() > 0.3
+        assert pairs.max() < 0.98
+        close = load_noise(models_folder("noise") / "50-beam.nc").correlation
+        assert np.diagonal(close, offset=1).min() > 0.95  # 3.2 m apart
+
+    def test_mirror_images_have_the_same_noise(self):
+        noise = load_noise(
+            models_folder("noise") / "4-beam.nc"
+        )  # beams at 45°, 135°, 225°, 315°: y → −y swaps 0,1 and 2,3
+        swap = [1, 0, 3, 2]
+        gap = np.abs(noise.covariance - noise.covariance[np.ix_(swap, swap)])
+        assert np.all(gap < 5.0 * np.sqrt(2.0) * noise.standard_error + 1e-12)
+
+    def test_lighter_wind_is_noisier(self):
+        bank = load_noise(models_folder("noise") / "pulsed-4-beam.nc")
+        ahead = [model for model in bank.models if model.yaw == 0.0]
+        error = [model.relative_error.mean() for model in sorted(ahead, key=lambda model: model.wind_speed)]
+        assert np.all(np.diff(error) < 0.0)
+
+    def test_half_the_wind_speed_is_nearly_the_root_of_two_in_noise(self):
+        bank = load_noise(models_folder("noise") / "pulsed-4-beam.nc")
+        slow, fast = (
+            next(m for m in bank.models if m.yaw == 0.0 and m.wind_speed == speed).relative_error.mean()
+            for speed in (4.5, 14.0)
+        )
+        assert 1.3 < slow / fast < np.sqrt(14.0 / 4.5)  # records long against the eddies reach the root from below
+
+
+class TestBank:
+    def make_bank(self):
+        scan = load_scan("4-beam")
+        return NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (4.0, 9.0) for y in (-0.5, 0.5)))
+
+    @pytest.mark.parametrize(
+        ("wind_speed", "yaw", "state"),
+        [(1.0, -3.0, 0), (5.9, 0.01, 1), (6.1, -0.01, 2), (30.0, 1.0, 3), (9.0, 0.5 + 2.0 * np.pi, 3)],
+    )
+    def test_nearest_in_logarithm_of_speed_and_in_yaw(self, wind_speed, yaw, state):
+        noise = self.make_bank().for_records([wind_speed], [yaw])  # √(4 · 9) = 6 is half way in ln U
+        assert noise.state.tolist() == [state]
+
+    def test_scalars_are_broadcast(self):
+        assert self.make_bank().for_records([4.0, 9.0, 9.0], 0.5).state.tolist() == [1, 3, 3]
+
+    def test_wind_speed_that_is_not_positive(self):
+        with pytest.raises(InputError, match=r"Invalid wind_speed 0 m/s of record 1: it must be above zero\."):
+            self.make_bank().for_records([4.0, 0.0], 0.0)
+
+    def test_not_a_number(self):
+        with pytest.raises(InputError, match="yaw of the records: the entry at \\(0,\\) is nan"):
+            self.make_bank().for_records([4.0], [np.nan])
+
+    def test_models_of_different_scans(self):
+        with pytest.raises(InputError, match="must be of one scan: the beams are"):
+            NoiseBank((make_noise(load_scan("4-beam")), make_noise(load_scan("5-beam"))))
+
+    def test_models_of_different_record_lengths(self):
+        scan = load_scan("4-beam")
+        with pytest.raises(InputError, match="must be of one record length and one turbulence: 600 s"):
+            NoiseBank((make_noise(scan), make_noise(scan, duration=1800.0)))
+
+    def test_no_model(self):
+        with pytest.raises(InputError, match="needs at least one noise model"):
+            NoiseBank(())
+
+
+class TestWrongScan:
+    def differs(self, message, **change):
+        scan = load_scan("6-beam")
+        other = replace(scan, name="other", **change)
+        with pytest.raises(NoiseMismatchError, match=message) as caught:
+            make_noise(scan).check_scan(other)
+        assert str(caught.value).startswith("The noise of scan '6-beam' was not made for scan 'other': ")
+        assert "Run calibrate for this scan" in str(caught.value)
+        assert caught.value.difference
+
+    def test_beams(self):
+        self.differs(r"the beams are \[0, 1, 2, 3, 4, 5\] in the noise and \[1", beam=np.arange(6) + 1)
+
+    def test_direction(self):
+        tilted = load_scan("6-beam", opening_angle_deg=15.01).beam_direction
+        self.differs(r"the direction of beam 0 is \(-0\.9659, 0\.0000, 0\.2588\)", beam_direction=tilted)
+
+    def test_tilt(self):
+        self.differs("the direction of beam 0", tilt=0.01)
+
+    def test_focus_distance(self):
+        self.differs(
+            "the focus distance of beam 0 is 98 m in the noise and 52 m in the scan",
+            focus_distance=np.full(6, 52.0),
+        )
+
+    def test_timing(self):
+        self.differs("the time within the scan of beam 1 is 0.166667 s", beam_time=np.zeros(6))
+
+    def test_scan_duration(self):
+        self.differs("the scan takes 1 s in the noise and 2 s in the scan", scan_duration=2.0)
+
+    def test_another_name_is_no_difference(self):
+        scan = load_scan("6-beam")
+        make_noise(scan).check_scan(replace(scan, name="my lidar"))
+
+    def test_rounding_is_no_difference(self):
+        scan = load_scan("6-beam")
+        make_noise(scan).check_scan(replace(scan, focus_distance=scan.focus_distance + 3e-9))
+
+
+class TestInvalidNumbers:
+    def test_asymmetric_covariance(self):
+        scan = load_scan("2-beam")
+        with pytest.raises(InputError, match=r"the entry at \(0, 1\) is 0\.1 and its mirror image is 0\.2"):
+            make_noise(scan, covariance=[[1.0, 0.1], [0.2, 1.0]])
+
+    def test_negative_eigenvalue(self):
+        with pytest.raises(NotPositiveDefiniteError, match="its smallest eigenvalue is -1, and") as caught:
+            make_noise(load_scan("2-beam"), covariance=[[1.0, 2.0], [2.0, 1.0]])
+        assert caught.value.smallest_eigenvalue == pytest.approx(-1.0)
+
+    def test_singular_covariance_is_accepted(self):
+        assert make_noise(load_scan("2-beam"), covariance=np.full((2, 2), 0.06)).covariance[0, 1] == 0.06
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"bias": [0.0]}, r"Invalid bias in noise of scan '2-beam' of shape \(1,\): the shape must be \(2\)"),
+            ({"gain": np.ones((2, 5))}, r"gain .*the shape must be \(2, 6\)"),
+            ({"covariance": np.full((2, 2), np.nan)}, r"covariance .*the entry at \(0, 0\) is nan"),
+            ({"standard_error": np.ones(2)}, "standard_error"),
+            ({"beam": [0, 5]}, r"Invalid beam \[0, 5\] .*its scan_geometry has the beams \[0, 1\]"),
+            ({"beam": []}, "at least one"),
+            ({"scan_geometry": {"beam": [0, 1]}}, "'direction' is missing; take it from Scan.geometry"),
+            ({"wind_speed": 0.0}, "Invalid wind_speed 0.0 m/s"),
+            ({"yaw": np.inf}, "Invalid yaw inf rad"),
+            ({"duration": -1.0}, "Invalid duration -1.0 s"),
+            ({"method": "guess"}, "Unknown method of a noise model 'guess': it must be one of boxes, theory, given"),
+            ({"n_realizations": 0.0}, "Invalid n_realizations 0.0"),
+            ({"details": {"x": object()}}, "details .* must be plain JSON values"),
+        ],
+    )
+    def test_message(self, change, message):
+        with pytest.raises(InputError, match=message):
+            make_noise(load_scan("2-beam"), **change)
+
+
+class TestFiles:
+    def test_missing_file(self, tmp_path):
+        with pytest.raises(InputError, match=r"No noise file .*none\.nc'"):
+            load_noise(tmp_path / "none.nc")
+
+    @pytest.mark.parametrize("content", [b"", b"this is no NetCDF file"])
+    def test_something_else(self, content, tmp_path):
+        (tmp_path / "bad.nc").write_bytes(content)
+        with pytest.raises(InputError, match="cannot be read as NetCDF") as caught:
+            load_noise(tmp_path / "bad.nc")
+        assert "\n" not in str(caught.value)
+
+    def test_half_a_file(self, tmp_path):
+        make_noise(load_scan("6-beam")).save(tmp_path / "whole.nc")
+        content = (tmp_path / "whole.nc").read_bytes()
+        (tmp_path / "half.nc").write_bytes(content[: len(content) // 2])
+        with pytest.raises(InputError, match="cannot be read as NetCDF, it is damaged"):
+            load_noise(tmp_path / "half.nc")
+
+    def test_another_netcdf_file(self, tmp_path):
+        xr.Dataset({"a": 1.0}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+        with pytest.raises(InputError, match="is not a noise file of bayes_rs: make one with calibrate"):
+            load_noise(tmp_path / "other.nc")
+
+    def change(self, tmp_path, edit):
+        edit(make_noise(load_scan("6-beam")).to_dataset()).to_netcdf(tmp_path / "changed.nc", engine="h5netcdf")
+        return tmp_path / "changed.nc"
+
+    def test_future_format(self, tmp_path):
+        file = self.change(tmp_path, lambda data: data.assign_attrs(format_version=99))
+        with pytest.raises(InputError, match="has format version 99 and this program reads 1"):
+            load_noise(file)
+
+    def test_missing_variable(self, tmp_path):
+        file = self.change(tmp_path, lambda data: data.drop_vars("covariance"))
+        with pytest.raises(InputError, match=r"is damaged, .*covariance.* cannot be read: calibrate again"):
+            load_noise(file)
+
+    def test_changed_numbers(self, tmp_path):
+        file = self.change(tmp_path, lambda data: data.assign(covariance=-data["covariance"]))
+        with pytest.raises(InputError, match=r"is damaged: .*its smallest eigenvalue is"):
+            load_noise(file)
+
+    def test_details_that_are_no_json(self, tmp_path):
+        file = self.change(tmp_path, lambda data: data.assign_attrs(details="{"))
+        with pytest.raises(InputError, match=r"is damaged, .* cannot be read"):
+            load_noise(file)
+
+    def test_existing_file_is_not_overwritten(self, tmp_path):
+        noise = make_noise(load_scan("2-beam"))
+        file = tmp_path / "noise.nc"
+        file.write_bytes(b"mine")
+        with pytest.raises(InputError, match="exists: give another name, or overwrite=True"):
+            noise.save(file)
+        assert file.read_bytes() == b"mine"
+        noise.save(file, overwrite=True)
+        assert load_noise(file).scan_name == "2-beam"
+
+    def test_missing_folder(self, tmp_path):
+        with pytest.raises(InputError, match=r"Cannot write .*give a folder that exists and can be written"):
+            make_noise(load_scan("2-beam")).save(tmp_path / "none" / "noise.nc")
+
+    def test_nothing_is_left_behind_by_a_failed_write(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(xr.Dataset, "to_netcdf", _full_disk)
+        with pytest.raises(InputError, match=r"Cannot write .*No space left on device"):
+            make_noise(load_scan("2-beam")).save(tmp_path / "noise.nc")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_many_beams_fit_into_a_file(self, tmp_path):
+        beams = 2000  # a NetCDF attribute holds 64 kB at most: the geometry must not be one
+        scan = Scan("many", np.tile([[-1.0, 0.0, 0.0]], (beams, 1)), np.full(beams, 98.0), np.zeros(beams), 1.0)
+        noise = make_noise(load_scan("2-beam"))
+        noise = replace(
+            noise,
+            bias=np.zeros(beams),
+            gain=design_matrix(scan),
+            covariance=np.eye(beams),
+            beam=scan.beam,
+            scan_geometry=scan.geometry(),
+        )
+        noise.save(tmp_path / "many.nc")
+        load_noise(tmp_path / "many.nc").check_scan(scan)
+
+
+def _full_disk(*_args, **_kwargs):
+    raise OSError(28, "No space left on device")

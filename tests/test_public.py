@@ -1,0 +1,88 @@
+"""The public names: pinned, importable, and none of them hidden by a module of the same name."""
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import bayes_rs
+
+PUBLIC = [
+    "FlatPrior",
+    "InputError",
+    "MannTurbulence",
+    "MissingExtraError",
+    "NoiseBank",
+    "NoiseMismatchError",
+    "NoiseModel",
+    "NotPositiveDefiniteError",
+    "Prior",
+    "RecordNoise",
+    "STRESSES",
+    "Scan",
+    "Sight",
+    "WeakPrior",
+    "__version__",
+    "autocorrelation_time",
+    "calibrate",
+    "demo_file",
+    "describe_report",
+    "design_matrix",
+    "ess_bulk",
+    "ess_tail",
+    "find_shipped_noise",
+    "fit",
+    "flag_words",
+    "is_realizable",
+    "load_noise",
+    "load_scan",
+    "load_turbulence",
+    "make_prior",
+    "make_records",
+    "noise_for_records",
+    "open_result",
+    "pack_stress",
+    "plot_corner",
+    "plot_stresses",
+    "principal_variances",
+    "r_hat",
+    "radial_variance",
+    "read_radial_velocity",
+    "rotate_stress",
+    "run_fit",
+    "sight",
+    "simulate",
+    "summary",
+    "theory_noise",
+    "unpack_stress",
+]
+
+
+def test_the_public_names_are_these():
+    assert sorted(bayes_rs.__all__) == sorted(PUBLIC)
+
+
+def test_every_public_name_can_be_had():
+    for name in PUBLIC:
+        assert getattr(bayes_rs, name) is not None
+
+
+def test_no_module_has_the_name_of_something_public():
+    """Importing a module sets it on the package, where it would hide the function of that name."""
+    modules = {module.name for module in pkgutil.iter_modules(bayes_rs.__path__)}
+    assert modules.isdisjoint(PUBLIC)
+
+
+def test_names_stay_what_they_are_when_all_modules_are_imported():
+    before = {name: getattr(bayes_rs, name) for name in PUBLIC}
+    for module in pkgutil.walk_packages(bayes_rs.__path__, "bayes_rs."):
+        importlib.import_module(module.name)
+    assert {name: getattr(bayes_rs, name) for name in PUBLIC} == before
+
+
+def test_the_command_line_does_not_load_the_science_for_its_help():
+    code = (
+        "import sys, bayes_rs.cli; print(sorted({'numpy', 'scipy', 'matplotlib', 'emcee', 'arviz'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout.strip() == "[]"

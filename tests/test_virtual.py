@@ -1,0 +1,239 @@
+"""The virtual lidar: exact interpolation, frozen turbulence, simulated series."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayes_rs.boxes import Box, BoxGrid, BoxMaker
+from bayes_rs.errors import InputError
+from bayes_rs.forward import radial_variance
+from bayes_rs.mann import MannTurbulence
+from bayes_rs.scan import Scan
+from bayes_rs.scan_file import load_scan
+from bayes_rs.virtual import (
+    RecordState,
+    beam_lines,
+    grid_for,
+    interpolation_weights,
+    placements,
+    sample_lines,
+    sample_records,
+    simulate,
+)
+
+GRID = BoxGrid((64, 12, 10), (5.0, 7.0, 9.0))
+SETTINGS = {"wind_speed": 10.0, "duration": 60.0, "n_records": 5, "seed": 3}
+ROUNDING = 1e-11  # sums of a few thousand terms of size 1, phases of a few hundred rad
+WIDE_EDDIES = MannTurbulence(dissipation=0.05, length_scale=100.0, gamma=3.2)  # few grid points for short records
+
+
+def one_wave(number, phase, amplitude=(1.0, 1.0, 1.0)):
+    """Return a box that holds one Fourier mode, and the same field as a function of position."""
+    wave = 2.0 * np.pi * np.array(number) / np.array(GRID.size)
+
+    def field(position):
+        return np.array(amplitude) * np.cos(np.asarray(position) @ wave + phase)[..., None]
+
+    axes = [count * np.arange(n) for n, count in zip(GRID.shape, GRID.spacing, strict=True)]
+    return Box(np.moveaxis(field(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)), -1, 0), GRID), field
+
+
+class TestInterpolation:
+    @settings(max_examples=50, deadline=None)
+    @given(
+        st.tuples(st.integers(-31, 31), st.integers(-5, 5), st.integers(-4, 4)),
+        st.floats(0.0, 6.0),
+        st.floats(0.5, 20.0),
+    )
+    def test_one_fourier_mode_is_sampled_to_rounding(self, number, phase, wind_speed):
+        box, field = one_wave(number, phase, amplitude=(1.0, -0.7, 0.4))
+        scan = load_scan("6-beam", yaw_deg=20.0, tilt_deg=3.0)
+        state = RecordState(scan, wind_speed, 0.3, 7.0)
+        velocity = sample_records(beam_lines(box, state.focus, state.line_of_sight), state, GRID)
+        for record in range(len(velocity)):
+            for beam in range(scan.n_beam):
+                time = scan.beam_time[beam] + scan.scan_duration * (record * state.n_sample + np.arange(state.n_sample))
+                position = state.focus[beam] - np.outer(wind_speed * time, [1.0, 0.0, 0.0])  # x − U t
+                expected = field(position) @ state.line_of_sight[beam]
+                np.testing.assert_allclose(velocity[record, beam], expected, rtol=0.0, atol=ROUNDING)
+
+    def test_shortest_wave_is_a_cosine_about_the_grid(self):
+        values = np.cos(np.pi * np.arange(8))
+        position = np.linspace(-3.0, 11.0, 57)
+        weights = interpolation_weights(position, 8, 1.0)
+        np.testing.assert_allclose(weights @ values, np.cos(np.pi * position), atol=1e-13)
+        samples = sample_lines(values[None], 8.0, position[:1], 0.25, 57)
+        np.testing.assert_allclose(samples[0], np.cos(np.pi * position), atol=1e-12)
+
+    def test_weights_reproduce_a_constant(self):
+        weights = interpolation_weights(np.linspace(-50.0, 50.0, 101), 12, 7.0)
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-13)
+
+    def test_long_series_stay_exact(self):
+        """The chirp's phase grows with the square of the sample's number."""
+        line = np.cos(2.0 * np.pi * 5.0 * np.arange(4096) / 4096)
+        start, step, count = 3.3, -9.7, 20000
+        samples = sample_lines(line[None], 12288.0, [start], step, count)
+        expected = np.cos(2.0 * np.pi * 5.0 * (start + step * np.arange(count)) / 12288.0)
+        np.testing.assert_allclose(samples[0], expected, atol=1e-9)
+
+    def test_wrong_shape(self):
+        with pytest.raises(InputError, match="Invalid line_of_sight of shape"):
+            beam_lines(one_wave((1, 0, 0), 0.0)[0], np.zeros((2, 3)), np.zeros((3, 3)))
+
+
+class TestLaws:
+    def test_a_staring_beam_reads_u_along_a_line_backwards(self):
+        """Frozen turbulence: what is upstream now comes later; v_r = −u for a beam that looks upwind."""
+        rng = np.random.default_rng(1)
+        box = Box(rng.normal(size=(3, *GRID.shape)), GRID)
+        scan = Scan("staring", [[-1.0, 0.0, 0.0]], [100.0], [0.0], 1.0)
+        state = RecordState(scan, GRID.spacing[0], 0.0, 10.0)  # one grid step per sample
+        velocity = sample_records(beam_lines(box, state.focus, state.line_of_sight), state, GRID)
+        line = box.velocity[0, :, 0, 0]
+        first = round(-100.0 / GRID.spacing[0])
+        expected = -line[(first - np.arange(velocity.size)) % GRID.shape[0]]
+        np.testing.assert_allclose(velocity.ravel(), expected, atol=ROUNDING)
+
+    def test_a_later_beam_time_is_a_later_sample(self):
+        box, _ = one_wave((3, 0, 0), 0.4)
+        early, late = (Scan("one", [[-1.0, 0.0, 0.0]], [50.0], [time], 1.0) for time in (0.0, 0.5))
+        line = beam_lines(box, [[-50.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]])
+        slow = sample_records(line, RecordState(late, 8.0, 0.0, 4.0), GRID)
+        fast = sample_lines(line, GRID.size[0], [-50.0], -4.0, 10)  # every half second
+        np.testing.assert_allclose(slow[0, 0], fast[0, 1:9:2], atol=ROUNDING)
+        assert not np.allclose(sample_records(line, RecordState(early, 8.0, 0.0, 4.0), GRID)[0, 0], slow[0, 0])
+
+    def test_the_box_is_periodic(self):
+        box = Box(np.random.default_rng(2).normal(size=(3, *GRID.shape)), GRID)
+        direction = load_scan("6-beam").line_of_sight
+        focus = 30.0 * direction
+        once = beam_lines(box, focus, direction)
+        np.testing.assert_allclose(
+            beam_lines(box, focus + np.array([0.0, GRID.size[1], -2.0 * GRID.size[2]]), direction), once, atol=ROUNDING
+        )
+
+    def test_reversed_directions_reverse_the_velocity(self):
+        box = Box(np.random.default_rng(3).normal(size=(3, *GRID.shape)), GRID)
+        scan = load_scan("6-beam")
+        focus = scan.focus_distance[:, None] * scan.line_of_sight
+        np.testing.assert_array_equal(
+            beam_lines(box, focus, -scan.line_of_sight), -beam_lines(box, focus, scan.line_of_sight)
+        )
+
+    @pytest.mark.parametrize("wind_speed", [4.0, 10.0])
+    def test_expected_variance_is_the_slow_double_sum(self, wind_speed):
+        """E[y] = R(0) − (1/N²) Σ_i Σ_j R(U Δ (i − j)), R from the spectrum of each beam."""
+        maker = BoxMaker(WIDE_EDDIES, BoxGrid((128, 8, 8), (10.0, 60.0, 60.0)))
+        state = RecordState(load_scan("6-beam"), wind_speed, 0.4, 50.0)
+        lag = wind_speed * np.arange(50)
+        lags = np.abs(np.subtract.outer(np.arange(50), np.arange(50)))
+        for beam, direction in enumerate(state.line_of_sight):
+            power = np.einsum("i,kij,j->k", direction, maker.spectrum, direction)
+            covariance = np.cos(np.outer(lag, maker.wave_number)) @ power
+            slow = covariance[0] - covariance[lags].mean()
+            assert state.expected_variance(maker)[beam] == pytest.approx(slow, rel=1e-10)
+
+
+class TestState:
+    def test_a_record_needs_two_scans(self):
+        with pytest.raises(InputError, match=r"Invalid duration 1\.5 s for scan '4-beam': .*at least two scans of 1 s"):
+            RecordState(load_scan("4-beam"), 10.0, 0.0, 1.5)
+
+    @pytest.mark.parametrize(("name", "value"), [("wind_speed", 0.0), ("duration", -600.0)])
+    def test_numbers(self, name, value):
+        numbers = {"wind_speed": 10.0, "duration": 600.0, name: value}
+        with pytest.raises(InputError, match=f"Invalid {name} {value}"):
+            RecordState(load_scan("4-beam"), yaw=0.0, **numbers)
+
+    def test_count_is_exact_where_division_is_not(self):
+        scan = Scan("fast", [[-1.0, 0.0, 0.0]], [50.0], [0.0], 0.1)
+        assert RecordState(scan, 10.0, 0.0, 0.3).n_sample == 3
+
+    def test_yaw_is_the_states_not_the_scans(self):
+        scan = load_scan("4-beam", yaw_deg=30.0)
+        np.testing.assert_allclose(
+            RecordState(scan, 10.0, 0.1, 600.0).line_of_sight, scan.with_yaw(0.1).line_of_sight, atol=1e-15
+        )
+
+    def test_placements_are_apart(self):
+        shift = placements(BoxGrid((8, 16, 16), (10.0, 61.0, 61.0)), 61.0)
+        assert shift.shape == (9, 3)
+        assert np.all(shift[:, 0] == 0.0)
+        apart = np.abs(shift[:, None] - shift[None])[~np.eye(9, dtype=bool)].max(axis=-1)
+        assert apart.min() >= 4.0 * 61.0
+
+    def test_one_placement_in_a_narrow_box(self):
+        assert placements(BoxGrid((8, 8, 8), (10.0, 10.0, 10.0)), 61.0).tolist() == [[0.0, 0.0, 0.0]]
+
+
+@pytest.fixture(scope="module")
+def series():
+    return simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS)
+
+
+class TestSimulate:
+    def test_layout(self, series):
+        scan = load_scan("6-beam")
+        assert series["radial_velocity"].dims == ("sample",)
+        assert series.sizes["sample"] == 5 * 60 * 6
+        assert series["time"].dtype == "datetime64[ns]"
+        assert series["time"].values[0] == np.datetime64("2000-01-01T00:00:00")
+        assert np.all(np.diff(series["time"].values) >= np.timedelta64(0))
+        assert series["time"].values[-1] < np.datetime64("2000-01-01T00:05:00")
+        assert series["beam"].values[:6].tolist() == scan.beam.tolist()
+        assert series.attrs["scan"] == "6-beam"
+        assert series.attrs["scan_key"] == scan.key
+
+    def test_truth_is_told(self, series):
+        truth = json.loads(series.attrs["truth"])
+        assert truth["length_scale"] == 100.0
+        assert truth["generator"].startswith("hipersim")
+        assert truth["stresses_record"][0] < truth["stresses"][0]  # a record loses its slow eddies
+        assert truth["stresses"][4] < 0.0
+
+    def test_same_seed_same_numbers(self, series):
+        assert series.identical(simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS))
+
+    def test_a_generator_is_a_seed(self, series):
+        again = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**SETTINGS, "seed": np.random.default_rng(3)})
+        assert series.identical(again)
+
+    def test_more_records_begin_with_the_same(self, series):
+        fewer = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**SETTINGS, "n_records": 2})
+        assert fewer["radial_velocity"].equals(series["radial_velocity"][: 2 * 60 * 6])
+
+    def test_mean_wind_is_in_the_radial_velocity(self, series):
+        centre = series["radial_velocity"][series["beam"] == 5]
+        assert float(centre.mean()) == pytest.approx(-10.0, abs=1.0)  # towards the lidar; turbulence of 1.3 m/s
+
+    def test_windows_of_a_duration_that_is_no_multiple_of_the_scan(self):
+        series = simulate(load_scan("pulsed-4-beam"), WIDE_EDDIES, wind_speed=10.0, duration=62.0, n_records=2, seed=1)
+        second = series["time"] >= np.datetime64("2000-01-01T00:01:02")
+        assert int(second.sum()) == 4 * 15
+        assert series["time"].values[second.values][0] == np.datetime64("2000-01-01T00:01:02")
+
+    def test_unknown_method(self):
+        with pytest.raises(InputError, match="Unknown method of simulation 'magic': it must be one of boxes"):
+            simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, method="magic")
+
+    def test_number_of_records(self):
+        with pytest.raises(InputError, match="Invalid n_records 0"):
+            simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, n_records=0)
+
+    def test_variances_average_to_the_record_tensor(self):
+        scan = load_scan("6-beam", opening_angle_deg=45.0, yaw_deg=25.0)
+        n_records = 240
+        series = simulate(scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, n_records=n_records, seed=5)
+        truth = json.loads(series.attrs["truth"])
+        velocity = np.stack([series["radial_velocity"].values[series["beam"].values == beam] for beam in scan.beam])
+        variance = velocity.reshape(scan.n_beam, n_records, 60).var(axis=-1)
+        expected = radial_variance(scan.line_of_sight, truth["stresses_record"])
+        error = variance.std(axis=1, ddof=1) / np.sqrt(n_records)
+        assert np.all(np.abs(variance.mean(axis=1) - expected) < 4.5 * error)  # Monte Carlo, six beams, skewed
+        state = RecordState(scan, 10.0, scan.yaw, 60.0)
+        maker = BoxMaker(WIDE_EDDIES, grid_for([state], WIDE_EDDIES))
+        np.testing.assert_allclose(state.expected_variance(maker), expected, rtol=1e-9)
