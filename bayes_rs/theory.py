@@ -88,7 +88,7 @@ def theory_noise(
     """
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
-    promised, resolution = resolution_for(tolerance)
+    promised, resolution = resolution_for(tolerance, turbulence.gamma)
     angle = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad")
     line_of_sight = scan.at_yaw(angle)
     count = sample_counts(scan, duration, detrend)

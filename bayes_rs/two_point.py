@@ -43,8 +43,9 @@ class Resolution(NamedTuple):
     n_direction: int
 
 
-# Errors of velocity covariances relative to uu, measured against a step of 0.1, 400 angles and 128 harmonics at random
-# separations (benchmarks of 2026-11, repeated in tests/test_two_point.py): below the tolerance for gamma up to 6.
+_CHECKED_GAMMA = 6.0  # measured errors at 10 and 15 stay below the promise that grows with its square
+# Errors of velocity covariances relative to uu, measured at random separations against a step of 0.1, 120 angles and 48
+# harmonics (repeated in tests/test_two_point.py): below the key of this table for gamma up to 6.
 _RESOLUTIONS: dict[float, Resolution] = {
     1e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.25, 40),
     1e-4: Resolution(0.20, 64, 24, (-16.0, 8.0), (-14.0, 9.0), 0.15, 64),
@@ -52,8 +53,22 @@ _RESOLUTIONS: dict[float, Resolution] = {
 }
 
 
-def resolution_for(tolerance: float) -> tuple[float, Resolution]:
+def resolution_for(tolerance: float, gamma: float) -> tuple[float, Resolution]:
     """Return the coarsest resolution that keeps `tolerance`, and the error that it promises.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest error of a velocity covariance, relative to the variance of u.
+    gamma : float
+        Anisotropy parameter Γ; above 6 the promised errors grow with its square.
+
+    Returns
+    -------
+    promised : float
+        The error that it promises, at most `tolerance`.
+    resolution : Resolution
+        Sizes of the quadrature and of the table.
 
     Raises
     ------
@@ -61,11 +76,13 @@ def resolution_for(tolerance: float) -> tuple[float, Resolution]:
         If `tolerance` is smaller than the finest resolution keeps.
     """
     check_positive(tolerance, what="tolerance", unit="")
-    for promised in sorted(_RESOLUTIONS, reverse=True):
-        if promised <= tolerance:
-            return promised, _RESOLUTIONS[promised]
+    growth = max(gamma / _CHECKED_GAMMA, 1.0) ** 2
+    for error in sorted(_RESOLUTIONS, reverse=True):
+        if error * growth <= tolerance:
+            return error * growth, _RESOLUTIONS[error]
     raise InputError(
-        f"Invalid tolerance {tolerance!r}: the smallest error that the theory keeps is {min(_RESOLUTIONS):g} of uu."
+        f"Invalid tolerance {tolerance!r}: the smallest error that the theory keeps at gamma = {gamma:g} is "
+        f"{min(_RESOLUTIONS) * growth:.3g} of uu."
     )
 
 
@@ -234,7 +251,7 @@ def cross_spectra(
     if k1.ndim != 1 or not np.all((k1 > 0.0) & np.isfinite(k1)):
         raise InputError("Invalid wave_number: k1 must be a list of finite numbers above zero, rad/m.")
     y, z = check_array(separation, (2,), what="separation") / turbulence.length_scale
-    _, resolution = resolution_for(tolerance)
+    _, resolution = resolution_for(tolerance, turbulence.gamma)
     distance, direction = float(np.hypot(y, z)), float(np.arctan2(y, z))
     kappa_step = _grid(resolution.log_kappa, resolution.step)
     total = _isotropic_cross_spectra(k1, y, z).astype(np.complex128)
@@ -320,7 +337,7 @@ class CovarianceTable:
 
 def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) -> CovarianceTable:
     """Return the table that holds all `separation`, shape (n, 3) in L; built once for each Γ and reach."""
-    resolution_for(tolerance)
+    resolution_for(tolerance, gamma)
     reach = np.max(np.abs(separation), axis=0, initial=1e-3)
     along = max(float(reach[0]), _LEAST_REACH[0])
     across = max(float(np.hypot(reach[1], reach[2])), _LEAST_REACH[1])
@@ -329,7 +346,7 @@ def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) 
 
 @lru_cache(maxsize=16)
 def _build_table(gamma: float, along: float, across: float, tolerance: float) -> CovarianceTable:
-    promised, resolution = resolution_for(tolerance)
+    promised, resolution = resolution_for(tolerance, gamma)
     ghost = _STENCIL // 2
     step = resolution.table_step
     n_distance = int(np.ceil(_stretch(np.asarray(across)) / step)) + 1

@@ -64,14 +64,14 @@ def draw(merged: pd.DataFrame) -> Figure:
     over.plot(merged["time"], merged["TI_North"], ".", color="#1b7837", markersize=4, label="north mast")
     flagged = merged[merged["flag"] != ""]
     over.plot(flagged["time"], np.zeros(len(flagged)), "|", color="0.3", label="one beam only")
-    over.set_ylim(0.0, 0.3)
+    over.set_ylim(0.0, 0.55)
     over.set_ylabel("turbulence intensity σ_u/U")
     over.set_xlabel("start of the record (UTC), 2020-09-03 and 04")
-    over.legend(loc="upper right", fontsize=8, ncols=2)
+    over.legend(loc="upper right", fontsize=9, ncols=2)
     over.tick_params(axis="x", rotation=20)
     error = [merged["mean"] - merged["hdi_low"], merged["hdi_high"] - merged["mean"]]
     against.errorbar(merged["both"], merged["mean"], yerr=error, fmt="o", markersize=3, linewidth=0.5, alpha=0.6)
-    ends = [0.05, 0.25]
+    ends = [0.05, 0.5]
     against.plot(ends, ends, color="0.3", linewidth=1.0)
     against.set_xlabel("mean of both masts")
     against.set_ylabel("lidar: posterior mean and 90 % interval")

@@ -158,10 +158,11 @@ class TestExtremes:
         assert noise.details["negative_part"] < 1e-6
         assert np.all(noise.relative_error > 0.0)
 
-    @pytest.mark.slow
-    def test_fifty_one_beams(self):
-        noise = theory_noise(load_scan("51-beam"), SEED, wind_speed=10.0)
+    @pytest.mark.parametrize("name", ["51-beam", pytest.param("spinnerlidar", marks=pytest.mark.slow)])
+    def test_many_beams_that_are_nearly_dependent(self, name):
+        noise = theory_noise(load_scan(name), SEED, wind_speed=10.0)
         assert np.linalg.eigvalsh(noise.covariance)[0] > 0.0
+        assert noise.details["negative_part"] == 0.0
 
 
 class TestSonic:
