@@ -16,6 +16,7 @@ from .forward import sight as sight
 from .job import open_result as open_result
 from .job import run_fit as run_fit
 from .mann import MannTurbulence as MannTurbulence
+from .mann import fit_turbulence as fit_turbulence
 from .mann import load_turbulence as load_turbulence
 from .models import demo_file as demo_file
 from .noise import NoiseBank as NoiseBank
@@ -43,5 +44,8 @@ from .stress import principal_variances as principal_variances
 from .stress import rotate_stress as rotate_stress
 from .stress import unpack_stress as unpack_stress
 from .summarizing import summary as summary
+from .theory import sonic_moments as sonic_moments
 from .theory import theory_noise as theory_noise
+from .two_point import cross_spectra as cross_spectra
+from .two_point import velocity_covariance as velocity_covariance
 from .virtual import simulate as simulate

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import interpolate, sparse, special
+from scipy import sparse
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.isotropic import isotropic_covariance, isotropic_cross_spectra, isotropic_radial
+from bayes_rs.log_transform import ComplexArray, bessel_mellin, cosine_mellin, log_convolution, sine_mellin
 from bayes_rs.mann import MannTurbulence
-from bayes_rs.one_point import ISOTROPIC_VARIANCE, isotropic_tensor
+from bayes_rs.one_point import isotropic_tensor
 from bayes_rs.spectral_tensor import lifetime_shape, scaled_tensor
 from bayes_rs.stress import STRESSES, unpack_stress
-
-ComplexArray = NDArray[np.complex128]
 
 _ODD_IN_K2 = (STRESSES.index("uv"), STRESSES.index("vw"))
 _INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -138,7 +137,7 @@ def velocity_covariance(separation: ArrayLike, turbulence: MannTurbulence, *, to
         weights = np.zeros((len(flat), len(STRESSES)))
         weights[:, index] = 1.0
         along[:, index] = table.project(flat[:, 1], flat[:, 2], weights, flat[:, :1])[:, 0]
-    isotropic = _isotropic_covariance(flat)
+    isotropic = isotropic_covariance(flat)
     tensor = unpack_stress(along) + isotropic
     return np.asarray(turbulence.velocity_scale**2 * tensor.reshape(*r.shape[:-1], 3, 3))
 
@@ -202,7 +201,7 @@ def radial_covariance(
         [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in _INDEX_PAIRS], axis=-1
     )
     sheared = table.project(across_scaled[:, 0], across_scaled[:, 1], weights, along_scaled)
-    return turbulence.velocity_scale**2 * (sheared + _isotropic_radial(n_a, n_b, across_scaled, along_scaled))
+    return turbulence.velocity_scale**2 * (sheared + isotropic_radial(n_a, n_b, across_scaled, along_scaled))
 
 
 def cross_spectra(
@@ -254,7 +253,7 @@ def cross_spectra(
     _, resolution = resolution_for(tolerance, turbulence.gamma)
     distance, direction = float(np.hypot(y, z)), float(np.arctan2(y, z))
     kappa_step = _grid(resolution.log_kappa, resolution.step)
-    total = _isotropic_cross_spectra(k1, y, z).astype(np.complex128)
+    total = isotropic_cross_spectra(k1, y, z).astype(np.complex128)
     if turbulence.gamma > 0.0:
         harmonics = _harmonics(k1, np.exp(kappa_step), turbulence.gamma, resolution)
         sums = np.zeros((len(k1), len(STRESSES)), dtype=np.complex128)
@@ -424,8 +423,8 @@ def _hankel_weights(distance: FloatArray, resolution: Resolution) -> list[FloatA
         if m == 0:
             weight[~apart] = resolution.step
         if np.any(apart):
-            mellin = _bessel_mellin(m)
-            weight[apart] = _log_convolution(log_kappa, np.log(distance[apart]), resolution, _BIAS_ACROSS, mellin)
+            mellin = bessel_mellin(m)
+            weight[apart] = log_convolution(log_kappa, np.log(distance[apart]), resolution.step, _BIAS_ACROSS, mellin)
         weights.append(weight * np.exp(2.0 * log_kappa))
     return weights
 
@@ -435,53 +434,9 @@ def _fourier_weights(x: FloatArray, resolution: Resolution) -> tuple[FloatArray,
     log_k1 = _grid(resolution.log_k1, resolution.step)
     cosine, sine = np.full((len(x), len(log_k1)), resolution.step), np.zeros((len(x), len(log_k1)))
     apart = x > 0.0
-    for weight, kind in ((cosine, _cosine_mellin), (sine, _sine_mellin)):
-        weight[apart] = _log_convolution(log_k1, np.log(x[apart]), resolution, _BIAS_ALONG, kind)
+    for weight, kind in ((cosine, cosine_mellin), (sine, sine_mellin)):
+        weight[apart] = log_convolution(log_k1, np.log(x[apart]), resolution.step, _BIAS_ALONG, kind)
     return cosine * np.exp(log_k1), sine * np.exp(log_k1)
-
-
-def _log_convolution(
-    log_k: FloatArray,
-    log_r: FloatArray,
-    resolution: Resolution,
-    bias: float,
-    mellin: Callable[[ComplexArray], ComplexArray],
-) -> FloatArray:
-    """Return weights W[r, k] with Σ_k W f(log k) = ∫f(t) K(e^t r) dt, exact for band-limited f(t) e^(−bias·t).
-
-    `mellin`(z) is ∫x^(z−1) K(x) dx. The logarithmic axis is periodic with more than twice the length of the grid.
-    """
-    step = resolution.step
-    n_frequency = int(np.ceil((log_k[-1] - log_k[0] + 4.0) / step))
-    period = 2.0 * n_frequency * step
-    eta = 2.0 * np.pi / period * np.arange(n_frequency + 1)
-    twice = np.full(n_frequency + 1, 2.0)
-    twice[[0, -1]] = 1.0
-    kernel = twice * mellin(np.asarray(bias - 1j * eta, dtype=np.complex128))
-    shifted = (kernel * np.exp(1j * np.outer(log_r, eta))) @ np.exp(1j * np.outer(eta, log_k))
-    return np.asarray(np.exp(-bias * log_r)[:, np.newaxis] * shifted.real * np.exp(-bias * log_k) * step / period)
-
-
-def _bessel_mellin(m: int) -> Callable[[ComplexArray], ComplexArray]:
-    """Return z ↦ ∫x^(z−1) J_m(x) dx = 2^(z−1) Γ((m+z)/2) / Γ(1+(m−z)/2), DLMF 10.22.43."""
-
-    def mellin(z: ComplexArray) -> ComplexArray:
-        power = (z - 1.0) * np.log(2.0) + special.loggamma(0.5 * (m + z)) - special.loggamma(1.0 + 0.5 * (m - z))
-        return np.asarray(np.exp(power))
-
-    return mellin
-
-
-def _cosine_mellin(z: ComplexArray) -> ComplexArray:
-    """Return ∫x^(z−1) cos x dx = Γ(z) cos(πz/2), DLMF 5.9.7."""
-    log_gamma = special.loggamma(z)
-    return np.asarray(0.5 * (np.exp(log_gamma + 0.5j * np.pi * z) + np.exp(log_gamma - 0.5j * np.pi * z)))
-
-
-def _sine_mellin(z: ComplexArray) -> ComplexArray:
-    """Return ∫x^(z−1) sin x dx = Γ(z) sin(πz/2), DLMF 5.9.7."""
-    log_gamma = special.loggamma(z)
-    return np.asarray(-0.5j * (np.exp(log_gamma + 0.5j * np.pi * z) - np.exp(log_gamma - 0.5j * np.pi * z)))
 
 
 def _grid(ends: tuple[float, float], step: float) -> FloatArray:
@@ -516,85 +471,3 @@ def _stencil_weights(position: FloatArray, count: int) -> tuple[NDArray[np.int64
                 denominator *= point - other
         weights.append(numerator / denominator)
     return first, weights
-
-
-# --- Γ = 0 in closed form -------------------------------------------------------------------------------------------
-
-
-def isotropic_correlation(distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return f and g, the longitudinal and lateral covariance at Γ = 0; distance in L, result in αε^(2/3) L^(2/3).
-
-    Notes
-    -----
-    f(r) = σ² 2^(2/3)/Γ(1/3) r^(1/3) K_(1/3)(r), g = f + r f'/2, von Kármán (1948).
-    """
-    r = np.asarray(distance, dtype=np.float64)
-    safe = np.where(r > 0.0, r, 1.0)
-    scale = ISOTROPIC_VARIANCE * 2.0 ** (2.0 / 3.0) / special.gamma(1.0 / 3.0) * np.cbrt(safe)
-    f = scale * special.kv(1.0 / 3.0, safe)
-    g = f - 0.5 * scale * safe * special.kv(2.0 / 3.0, safe)
-    return np.where(r > 0.0, f, ISOTROPIC_VARIANCE), np.where(r > 0.0, g, ISOTROPIC_VARIANCE)
-
-
-_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
-
-
-@lru_cache(maxsize=1)
-def _correlation_spline() -> interpolate.CubicSpline:
-    log_r = np.linspace(_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION)
-    f, g = isotropic_correlation(np.exp(log_r))
-    return interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
-
-
-def _isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray) -> FloatArray:
-    """Return n_a · C(r) n_b at Γ = 0 in αε^(2/3) L^(2/3), shape (n, n_lag); lengths in L."""
-    square = along * along + np.sum(across * across, axis=-1, keepdims=True)
-    near = square < np.exp(2.0 * _LOG_NEAREST)  # outside the spline: evaluated directly
-    log_r = 0.5 * np.log(np.where(near, 1.0, square))
-    both = np.where(
-        (log_r > _LOG_FARTHEST)[..., np.newaxis], 0.0, _correlation_spline()(np.minimum(log_r, _LOG_FARTHEST))
-    )
-    f, g = isotropic_correlation(np.sqrt(square[near]))
-    both[near] = np.stack([f - g, g], axis=-1)
-    towards = first[:, :1] * along + np.sum(first[:, 1:] * across, axis=-1, keepdims=True)
-    towards *= second[:, :1] * along + np.sum(second[:, 1:] * across, axis=-1, keepdims=True)
-    towards /= np.where(square > 0.0, square, 1.0)
-    return np.asarray(both[..., 0] * towards + both[..., 1] * np.sum(first * second, axis=-1, keepdims=True))
-
-
-def _isotropic_covariance(separation: FloatArray) -> FloatArray:
-    """Return C_ij at Γ = 0, shape (n, 3, 3), for separations in L, shape (n, 3)."""
-    distance = np.sqrt(np.sum(separation**2, axis=-1))
-    f, g = isotropic_correlation(distance)
-    unit = separation / np.where(distance > 0.0, distance, 1.0)[:, np.newaxis]
-    outer = unit[:, :, np.newaxis] * unit[:, np.newaxis, :]
-    return np.asarray((f - g)[:, np.newaxis, np.newaxis] * outer + g[:, np.newaxis, np.newaxis] * np.eye(3))
-
-
-def _isotropic_cross_spectra(k1: FloatArray, y: float, z: float) -> ComplexArray:
-    """Return χ_ij at Γ = 0 in αε^(2/3) L^(5/3), shape (n, 3, 3).
-
-    Notes
-    -----
-    With a² = 1 + k₁² and T_μ = d^μ K_μ(ad), the transform of (a² + κ²)^(−17/6) over (k₂, k₃) is
-    2π T_(11/6) / ((2a)^(11/6) Γ(17/6)), DLMF 10.22.46; factors k₂ and k₃ are derivatives by y and z, where
-    ∂T_μ/∂y = −a y T_(μ−1).
-    """
-    a = np.sqrt(1.0 + k1 * k1)
-    d = float(np.hypot(y, z))
-    mu = 11.0 / 6.0
-    front = 0.5 / ((2.0 * a) ** mu * special.gamma(mu + 1.0))
-
-    def t(order: float) -> FloatArray:
-        """Return d^order K_order(ad), with its limit at d = 0."""
-        if d == 0.0:
-            return np.asarray(0.5 * special.gamma(order) * (2.0 / a) ** order)
-        return np.asarray(d**order * special.kv(order, a * d))
-
-    zero, first = front * t(mu), front * a * t(mu - 1.0)
-    second = front * a * a * (d ** (mu - 2.0) * special.kv(mu - 2.0, a * d) if d > 0.0 else np.zeros_like(a))
-    k2k2, k3k3, k2k3 = first - y * y * second, first - z * z * second, -y * z * second
-    k1k2, k1k3 = 1j * k1 * y * first, 1j * k1 * z * first
-    k1k1 = k1 * k1 * zero
-    rows = [[k2k2 + k3k3, -k1k2, -k1k3], [-k1k2, k1k1 + k3k3, -k2k3], [-k1k3, -k2k3, k1k1 + k2k2]]
-    return np.stack([np.stack([item.astype(np.complex128) for item in row], axis=-1) for row in rows], axis=-2)
