@@ -279,6 +279,8 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
         say=lambda line: click.echo(line, err=True),
         source_files=[file.name for file in files],
     )
+    for line in outcome.words:
+        click.echo(line)
     click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
     for line in outcome.failures:
         click.echo(line, err=True)

@@ -22,6 +22,7 @@ from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
+from bayes_rs.stress import STRESSES
 from bayes_rs.summarizing import summary
 
 POSTERIOR_FILE = "posterior.nc"
@@ -43,6 +44,8 @@ class Outcome:
         Records that went in, and those that have a posterior.
     failures : list of str
         One line for each record that was not fitted or whose chain fell short.
+    words : list of str
+        What the scan sees, which prior it was, and what the data said beyond the prior.
     """
 
     result: xr.DataTree
@@ -50,6 +53,7 @@ class Outcome:
     n_record: int
     n_fitted: int
     failures: list[str]
+    words: list[str]
 
 
 def run_fit(
@@ -162,7 +166,7 @@ def run_fit(
         f"{_record_name(result, index)}: {flag_words(flags[index])}"
         for index in np.flatnonzero(flags & FAILURES).tolist()
     ]
-    return Outcome(result, table, len(flags), len(fitted), failures)
+    return Outcome(result, table, len(flags), len(fitted), failures, _words(result, table))
 
 
 def open_result(folder: str | Path) -> xr.DataTree:
@@ -230,6 +234,21 @@ def _noise(
     noise, words = noise_for_records(records, used, load_turbulence(turbulence), method=method)
     say(words)
     return noise
+
+
+def _words(result: xr.DataTree, table: pd.DataFrame) -> list[str]:
+    """Say what the scan sees, which prior it was, and how much narrower the posterior is than the prior."""
+    lines = [f"scan {result.attrs['scan']}: {result.attrs['sight']}", f"prior {result.attrs['prior']}"]
+    rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
+    if len(rows):
+        middle = rows.groupby("stress")[["contraction", "contraction_shape"]].median().loc[list(STRESSES)]
+        for column, meaning in (
+            ("contraction", "of the stresses"),
+            ("contraction_shape", "of their shape, size taken out"),
+        ):
+            numbers = ", ".join(f"{name} {value:.2f}" for name, value in middle[column].items())
+            lines.append(f"contraction against the prior (1: the data decided, 0: the prior did) {meaning}: {numbers}")
+    return lines
 
 
 def _record_name(result: xr.DataTree, index: int) -> str:
