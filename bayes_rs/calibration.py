@@ -151,7 +151,8 @@ def noise_at_states(
     check_count(n_boxes, what="n_boxes", minimum=2)
     if cache is True and method == "boxes" and not isinstance(seed, np.random.Generator) and seed == DEFAULT_SEED:
         shipped = [
-            find_shipped_noise(state.scan, turbulence, state.wind_speed, state.duration, state.yaw) for state in states
+            find_shipped_noise(state.scan, turbulence, state.wind_speed, state.duration, state.yaw, method="boxes")
+            for state in states
         ]
         enough = [
             model for model in shipped if isinstance(model, NoiseModel) and model.details.get("n_boxes", 0) >= n_boxes

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from bayes_rs import diagnostics
 from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.errors import InputError
-from bayes_rs.forward import design_matrix
 from bayes_rs.likelihood import LogNormalLikelihood, log_normal_likelihood
-from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise
 from bayes_rs.prior import Prior, make_prior
 from bayes_rs.progress import progress
 from bayes_rs.result import FLAGS, RecordDraws, assemble
@@ -26,6 +25,8 @@ R_HAT_LIMIT = 1.05
 """Ensembles of a record that differ by more than this have not found the same posterior."""
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""
+_CHUNK_NUMBERS = 4_000_000
+"""Entries of the covariances of records that are sampled together: 32 MB an array."""
 _LEAST_STEPS = 64
 _PREDICT_EVERY = 16
 """One in so many draws gives a draw of the posterior predictive distribution."""
@@ -54,7 +55,10 @@ def fit(
     scan : Scan
         The scan that measured them.
     noise : NoiseModel or NoiseBank
-        From `calibrate` or `load_noise`, made for this scan and record length.
+        From `calibrate`, `theory_bank` or `load_noise`, made for this scan and record length. Each record gets the
+        noise of its own wind speed and direction if the states of a bank form a net, and of its own ``length_scale``
+        (m) and ``gamma`` if they hold them and the bank spans several. The attribute ``n_outside_noise`` of the
+        result counts the records outside the bank, which use its edge.
     seed : int
         Seed. A record's draws depend on the seed and the record's start, not on the records beside it.
     prior : str or Prior
@@ -110,11 +114,12 @@ def fit(
     yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64))
     fitted = np.flatnonzero(usable.any(axis=1) & (wind_speed > 0.0) & np.isfinite(yaw))
     keys = _stream_keys(records)
+    outside = np.zeros(len(variance), dtype=np.bool_)
 
     def sample(chunk: NDArray[np.int64]) -> RecordDraws:
-        at_record = noise.for_records(wind_speed[chunk], yaw[chunk])
-        # gain of a noise model is at its own yaw; what the probe changes there is carried over to the record's yaw
-        gain = design_matrix(scan.at_yaw(yaw[chunk])) + _probe_gain(noise, scan, at_record.state)
+        at_record = _noise_of(noise, records, wind_speed, yaw, chunk)
+        outside[chunk] = at_record.outside
+        gain = at_record.gain
         if target == "ensemble":
             gain = gain * (1.0 + at_record.bias)[:, :, None]
         likelihood = log_normal_likelihood(
@@ -125,7 +130,8 @@ def fit(
             likelihood, chosen_prior, int(seed), keys[chunk], target_ess, max_extension, noise_factor, usable[chunk]
         )
 
-    chunks = [fitted[start : start + _CHUNK] for start in range(0, len(fitted), _CHUNK)]
+    size = int(np.clip(_CHUNK_NUMBERS // scan.n_beam**2, 1, _CHUNK))
+    chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
     draws = [sample(chunk) for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))]
     return assemble(
         records,
@@ -136,7 +142,13 @@ def fit(
         usable=usable,
         draws=_joined(draws) if draws else None,
         flag=_result_flags(records, usable, fitted, draws, target_ess),
-        attributes={"target": target, "sampler": sampler, "seed": int(seed), "target_ess": target_ess},
+        attributes={
+            "target": target,
+            "sampler": sampler,
+            "seed": int(seed),
+            "target_ess": target_ess,
+            "n_outside_noise": int(np.count_nonzero(outside)),
+        },
     )
 
 
@@ -217,19 +229,25 @@ def _predict(
 
 def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArray:
     """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
-    roots = {}
-    for number in np.unique(state):
-        values, vectors = np.linalg.eigh(matrices[int(np.argmax(state == number))])
-        # eigenvalues below zero are rounding: NoiseModel has refused anything more
-        roots[int(number)] = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.stack([roots[int(number)] for number in state])
+    _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
+    values, vectors = np.linalg.eigh(matrices[first])
+    # eigenvalues below zero are rounding: NoiseModel has refused anything more
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
+    return np.asarray(roots[inverse.reshape(-1)])
 
 
-def _probe_gain(noise: NoiseModel | NoiseBank, scan: Scan, state: NDArray[np.int64]) -> FloatArray:
-    """Return what the probe volume adds to the design matrix, shape (n_record, n_beam, 6); zero for points."""
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
-    change = np.stack([model.gain - design_matrix(scan.at_yaw(model.yaw)) for model in models])
-    return np.asarray(change[state], dtype=np.float64)
+def _noise_of(
+    noise: NoiseModel | NoiseBank,
+    records: xr.Dataset,
+    wind_speed: FloatArray,
+    yaw: FloatArray,
+    chunk: NDArray[np.int64],
+) -> RecordNoise:
+    """Return the noise of some records; of their own turbulence where they have one and the bank spans several."""
+    if isinstance(noise, NoiseModel):
+        return noise.for_records(wind_speed[chunk], yaw[chunk])
+    own = {name: records[name].values[chunk] for name in ("length_scale", "gamma") if name in records}
+    return noise.for_records(wind_speed[chunk], yaw[chunk], **own)
 
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:

@@ -13,9 +13,15 @@ from bayes_rs.calibration import METHODS, calibrate, noise_at_states
 from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_bank import theory_bank
 from bayes_rs.noise_store import find_shipped_noise
 from bayes_rs.scan import Scan
 from bayes_rs.virtual import RecordState
+
+_SAME = 1e-9  # m/s and rad
+_SPEEDS = (1.0, 50.0)  # m/s; lighter or stronger wind gets the noise of these
+_QUICK = 60  # beams whose noise takes a quarter of a second for each state
+_USUAL_SPEEDS, _USUAL_YAWS = (3.0, 25.0), (-60.0, 60.0)  # m/s and degrees
 
 
 def noise_for_records(
@@ -46,7 +52,7 @@ def noise_for_records(
     noise : NoiseModel or NoiseBank
         Noise of this scan.
     words : str
-        One line that says which noise it is and, for boxes, how many records are far from all of its states.
+        One line that says which noise it is, how well it is interpolated, and how many records are outside it.
 
     Raises
     ------
@@ -57,15 +63,16 @@ def noise_for_records(
 
     Notes
     -----
-    By theory, the noise is that of the state nearest to each record in a fixed net: 10 · 1.1ⁱ m/s and multiples of
-    5° (10 · 1.25ⁱ m/s and 10° for scans of more than 60 beams). K goes about as 1/U, so the nearest state is off by
-    at most 5 % in K, 2.5 % in its standard deviations (twice that in the coarser net). A net that does not move with
-    the records lets the cache serve other days.
+    By theory, each record gets noise of its own wind speed and direction, interpolated in a bank with an error of K of
+    at most 1 % (`theory_bank`): the shipped bank if it holds all records; else one for their range, which for scans of
+    up to 60 beams reaches over 3 to 25 m/s and, for records from more than one direction, −60° to 60° at least, so that
+    the cache serves other days. Wind speeds below 1 and above 50 m/s count as outside. Where all records have the same
+    wind speed and direction, only that state is calculated.
 
     By boxes, shipped noise is taken if at least nine in ten records are near one of its states: within a factor √1.5
     in wind speed and 10° in yaw. Else the noise is calibrated at those states of a net of 10 · 1.4ⁱ m/s and multiples
-    of 20° that are nearest to some record. Where hipersim is not installed, shipped noise is taken however far it is,
-    and the words say so.
+    of 20° that are nearest to some record. States that form a net are interpolated. Where hipersim is not installed,
+    shipped noise is taken however far it is, and the words say so.
     """
     speed, yaw = np.asarray(records["wind_speed"], dtype=np.float64), np.deg2rad(np.asarray(records["yaw"], np.float64))
     known = np.isfinite(speed) & np.isfinite(yaw) & (speed > 0.0)
@@ -77,28 +84,49 @@ def noise_for_records(
     duration = float(records.attrs.get("duration", 600.0))
     check_choice(method, tuple(METHODS), what="method of calibration")
     if method == "theory":
-        ratio, turn = (1.1, 5.0) if scan.n_beam <= 60 else (1.25, 10.0)
-        net = np.column_stack([np.round(np.log(speed / 10.0) / np.log(ratio)), np.round(np.rad2deg(yaw) / turn)])
-        states = [
-            RecordState(scan, 10.0 * ratio**step, float(np.deg2rad(turn * steps)), duration)
-            for step, steps in np.unique(net, axis=0).tolist()
-        ]
-        models = tuple(noise_at_states(states, turbulence, progress=progress))
-        return NoiseBank(models), _words("calculated", models, turbulence)
+        noise, kept = _from_theory(scan, turbulence, speed, yaw, duration, progress)
+        words = _words(kept, noise, turbulence)
+        if isinstance(noise, NoiseBank) and (out := int(np.count_nonzero(noise.locate(speed, yaw)[2]))):
+            words += f"; {out} of {len(speed)} records are outside and use its edge"
+        return noise, words
     noise, kept = _from_boxes(scan, turbulence, speed, yaw, duration, progress)
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     far = int(_far(noise, speed, yaw).sum())
-    words = _words(kept, models, turbulence)
+    words = _words(kept, noise, turbulence)
     if far:
         words += f"; {far} of {len(speed)} records are far from all of them and use the nearest"
     return noise, words
+
+
+def _from_theory(
+    scan: Scan, turbulence: MannTurbulence, speed: FloatArray, yaw: FloatArray, duration: float, progress: bool | None
+) -> tuple[NoiseModel | NoiseBank, str]:
+    """Return shipped noise if it holds all records, else a bank for their range; and which of the two it is."""
+    if max(np.ptp(speed), np.ptp(yaw)) <= _SAME:
+        state = RecordState(scan, float(speed[0]), float(yaw[0]), duration)
+        return noise_at_states([state], turbulence, progress=progress)[0], "calculated"
+    shipped = find_shipped_noise(scan, turbulence, duration=duration, method="theory")
+    if isinstance(shipped, NoiseBank) and not np.any(shipped.locate(speed, yaw)[2]):
+        return shipped, "shipped"
+    speeds, yaws = np.clip(speed, *_SPEEDS), np.rad2deg(yaw)
+    if scan.n_beam <= _QUICK:
+        speeds = np.append(speeds, _USUAL_SPEEDS) if np.ptp(speeds) > _SAME else speeds
+        yaws = np.append(yaws, _USUAL_YAWS) if np.ptp(yaws) > _SAME else yaws
+    bank = theory_bank(
+        scan,
+        turbulence,
+        wind_speed=[float(np.min(speeds)), float(np.max(speeds))],
+        yaw_deg=[float(np.min(yaws)), float(np.max(yaws))],
+        duration=duration,
+        progress=progress,
+    )
+    return bank, "calculated"
 
 
 def _from_boxes(
     scan: Scan, turbulence: MannTurbulence, speed: FloatArray, yaw: FloatArray, duration: float, progress: bool | None
 ) -> tuple[NoiseModel | NoiseBank, str]:
     """Return shipped noise where it is near the records, else calibrated noise; and which of the two it is."""
-    shipped = find_shipped_noise(scan, turbulence, duration=duration)
+    shipped = find_shipped_noise(scan, turbulence, duration=duration, method="boxes")
     if shipped is not None and np.mean(_far(shipped, speed, yaw)) <= 0.1:
         return shipped, "shipped"
     level = np.round(np.log(speed / 10.0) / np.log(1.4)).astype(int)
@@ -116,18 +144,26 @@ def _from_boxes(
     return noise, "calibrated"
 
 
-def _words(kept: str, models: Sequence[NoiseModel], turbulence: MannTurbulence) -> str:
-    return (
+def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence) -> str:
+    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    words = (
         f"noise: {kept}, {turbulence.name}, method {models[0].method}, {len(models)} state{'s' * (len(models) > 1)} "
         f"({_span([m.wind_speed for m in models])} m/s, yaw {_span([np.rad2deg(m.yaw) for m in models])}°)"
     )
+    if isinstance(noise, NoiseBank) and len(models) > 1:
+        if noise.net is None:
+            return words + "; each record uses the nearest"
+        error = noise.interpolation_error
+        words += "; interpolated, with an error " + ("not measured" if error is None else f"of {100.0 * error:.2g} %")
+    return words
 
 
 def _far(noise: NoiseModel | NoiseBank, speed: FloatArray, yaw: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Tell which records are farther from every state than half a step of the shipped bank."""
-    nearest = noise.for_records(speed, yaw)
-    turn = np.abs(np.angle(np.exp(1j * (yaw - nearest.yaw))))
-    ratio = np.abs(np.log(speed / nearest.wind_speed))
+    bank = noise if isinstance(noise, NoiseBank) else NoiseBank((noise,))
+    speed_used, yaw_used, _ = bank.locate(speed, yaw)
+    turn = np.abs(np.angle(np.exp(1j * (yaw - yaw_used))))
+    ratio = np.abs(np.log(speed / speed_used))
     return np.asarray((ratio > 0.5 * np.log(1.5) + 1e-9) | (turn > np.deg2rad(10.0) + 1e-9))
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.models import models_folder
@@ -15,6 +16,9 @@ from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
 from bayes_rs.scan import Scan
 
 _log = logging.getLogger(__name__)
+
+THEORY_SUFFIX = "-theory"
+"""How the names of shipped files end whose noise is from theory; the others are from boxes."""
 
 _SAME = 1e-9
 """Wind speeds (m/s), yaws (rad) and durations (s) no farther apart are the same."""
@@ -47,6 +51,8 @@ def find_shipped_noise(
     wind_speed: float | None = None,
     duration: float = 600.0,
     yaw: float | None = None,
+    *,
+    method: str = "theory",
 ) -> NoiseModel | NoiseBank | None:
     """Find the noise that is shipped in ``models/noise`` for a scan.
 
@@ -62,12 +68,14 @@ def find_shipped_noise(
         Length of a record, s.
     yaw : float, optional
         Wind direction that the noise must have been made for, rad. If it is not given, any will do.
+    method : str
+        ``"theory"`` or ``"boxes"``: how the noise must have been made.
 
     Returns
     -------
     noise : NoiseModel, NoiseBank or None
-        The model of that state; the whole bank or model that is shipped if neither wind speed nor yaw is given; None
-        if there is none.
+        The model of that state, which must be one of the bank's own; the whole bank or model that is shipped if neither
+        wind speed nor yaw is given; None if there is none.
 
     Raises
     ------
@@ -81,7 +89,10 @@ def find_shipped_noise(
     >>> noise.n_beam
     6
     """
+    by_theory = check_choice(method, ("theory", "boxes"), what="method of shipped noise") == "theory"
     for file in sorted(models_folder("noise").glob("*.nc")):
+        if file.stem.endswith(THEORY_SUFFIX) != by_theory:
+            continue
         noise = _load(file, file.stat().st_mtime_ns)
         if not set(scan.beam.tolist()) <= set(noise.beam.tolist()):
             continue
@@ -163,7 +174,12 @@ def renamed(noise: NoiseModel | NoiseBank, scan: Scan, turbulence: MannTurbulenc
         The same noise with these names.
     """
     if isinstance(noise, NoiseBank):
-        return NoiseBank(tuple(replace(m, scan_name=scan.name, turbulence=turbulence) for m in noise.models))
+        if noise.n_turbulence == 1:
+            return NoiseBank(tuple(replace(m, scan_name=scan.name, turbulence=turbulence) for m in noise.models))
+        flows = [replace(m.turbulence, name=turbulence.name, source=turbulence.source) for m in noise.models]
+        return NoiseBank(
+            tuple(replace(m, scan_name=scan.name, turbulence=t) for m, t in zip(noise.models, flows, strict=True))
+        )
     return replace(noise, scan_name=scan.name, turbulence=turbulence)
 
 

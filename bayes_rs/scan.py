@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.probe import PointProbe, Probe
 
 
 def tilt_matrix(tilt: ArrayLike) -> FloatArray:
@@ -83,6 +84,8 @@ class Scan:
         What it is, and where the numbers come from.
     file_format : mapping
         How this instrument's files name and sign things; see `read_radial_velocity`.
+    probe : Probe
+        The probe volume of its beams; by default they see points.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class Scan:
     title: str = ""
     source: str = ""
     file_format: Mapping[str, Any] = field(default_factory=dict)
+    probe: Probe = field(default_factory=PointProbe)
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
@@ -136,6 +140,10 @@ class Scan:
             )
         check_finite(self.tilt, what="tilt", unit="rad", where=f"scan {self.name!r}")
         check_finite(self.yaw, what="yaw", unit="rad", where=f"scan {self.name!r}")
+        if not isinstance(self.probe, Probe):
+            raise InputError(
+                f"Invalid probe {self.probe!r} of scan {self.name!r}: it must be a Probe, as make_probe returns it."
+            )
         for key, array in (
             ("beam_direction", direction),
             ("focus_distance", distance),
@@ -212,14 +220,24 @@ class Scan:
             beam=self.beam[index],
         )
 
+    @property
+    def probe_length(self) -> FloatArray:
+        """Length ℓ of each beam's probe volume, shape (n_beam,), m: zero for points; see `bayes_rs.probe`."""
+        return self.probe.length(self.focus_distance)
+
     def geometry(self) -> dict[str, Any]:
-        """Return everything about the scan that a noise model depends on, but yaw: plain numbers, rounded to 1e-9."""
+        """Return everything about the scan that a noise model depends on, but yaw: plain numbers, rounded to 1e-9.
+
+        The probe volume is in it only if it is not a point, so that the keys of scans without one stay what they were.
+        """
+        probe = self.probe.parameters()
         return {
             "beam": self.beam.tolist(),
             "direction": (np.round(self.level_direction, 9) + 0.0).tolist(),
             "focus_distance": (np.round(self.focus_distance, 9) + 0.0).tolist(),
             "beam_time": (np.round(self.beam_time, 9) + 0.0).tolist(),
             "scan_duration": round(self.scan_duration, 9),
+            **({"probe": probe} if probe else {}),
         }
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.models import find_model
+from bayes_rs.probe import Probe, make_probe
 from bayes_rs.scan import Scan
 
 Distances = Annotated[list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=1)]
@@ -117,6 +119,33 @@ class _Mounting(_Table):
     yaw_deg: Angle = 0.0
 
 
+Length = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _PointProbe(_Table):
+    """No probe volume."""
+
+    kind: Literal["point"]
+
+
+class _ContinuousWaveProbe(_Table):
+    """Lorentzian weighting, by its Rayleigh length or by the optics."""
+
+    kind: Literal["continuous-wave"]
+    wavelength: Length | None = None
+    aperture_radius: Length | None = None
+    rayleigh_length: Length | None = None
+
+
+class _PulsedProbe(_Table):
+    """A pulse, convolved with a range gate."""
+
+    kind: Literal["pulsed"]
+    gate_length: Length
+    pulse: Literal["top-hat", "gaussian"] = "top-hat"
+    pulse_length: Length | None = None
+
+
 class _FileFormat(_Table):
     """How this instrument's files name and sign things; the meaning of each key is in `read_radial_velocity`."""
 
@@ -138,6 +167,9 @@ class _ScanFile(_Table):
     timing: _Timing
     mounting: _Mounting = _Mounting()
     file: _FileFormat = _FileFormat()
+    probe: Annotated[_PointProbe | _ContinuousWaveProbe | _PulsedProbe, Field(discriminator="kind")] = _PointProbe(
+        kind="point"
+    )
 
 
 def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float) -> FloatArray:
@@ -170,6 +202,7 @@ def load_scan(
     focus_distance: float | Sequence[float] | None = None,
     tilt_deg: float | None = None,
     yaw_deg: float | None = None,
+    probe: str | Probe | None = None,
 ) -> Scan:
     """Load a scan by its name in ``models/scans`` or from a TOML file.
 
@@ -183,6 +216,8 @@ def load_scan(
         Another focus distance, m; several for several measurement planes.
     tilt_deg, yaw_deg : float, optional
         Another mounting, degrees.
+    probe : str or Probe, optional
+        ``"point"`` for beams without a probe volume, or another probe; by default the file's own.
 
     Returns
     -------
@@ -198,6 +233,8 @@ def load_scan(
     --------
     >>> load_scan("6-beam", opening_angle_deg=45.0).n_beam
     6
+    >>> load_scan("spinnerlidar-probe").probe_length[0].round(2), load_scan("spinnerlidar-probe", probe="point").probe
+    (np.float64(1.72), PointProbe())
     """
     path = find_model(name, "scans")
     table = _read_table(path)
@@ -211,7 +248,18 @@ def load_scan(
             f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not "
             "apply: write a TOML file with the beams that you want."
         )
-    return _build(path.stem, _validate(table, path))
+    scan = _build(path.stem, _validate(table, path))
+    return scan if probe is None else replace(scan, probe=_checked_probe(probe))
+
+
+def _checked_probe(probe: str | Probe) -> Probe:
+    if isinstance(probe, Probe):
+        return probe
+    if probe != "point":
+        raise InputError(
+            f"Invalid probe {probe!r}: it must be 'point', or a probe with its lengths, as make_probe returns it."
+        )
+    return make_probe(probe)
 
 
 def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
@@ -241,12 +289,15 @@ def _merge(base: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
+_TAGS = ("cone", "rosette", "list", "point", "continuous-wave", "pulsed")  # pydantic names the kind of table, too
+
+
 def _validate(table: dict[str, Any], path: Path) -> _ScanFile:
     try:
         return _ScanFile.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"] if part not in ("cone", "rosette", "list"))
+        place = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
         rule = {
             "extra_forbidden": "unknown key; remove it or correct its spelling",
             "missing": "required key is missing",
@@ -284,6 +335,7 @@ def _build(name: str, spec: _ScanFile) -> Scan:
         title=spec.title,
         source=spec.source,
         file_format=spec.file.model_dump(exclude_none=True),
+        probe=make_probe(**spec.probe.model_dump()),
     )
 
 

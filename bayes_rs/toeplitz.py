@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
@@ -103,6 +104,112 @@ def toeplitz_trace(diagonals: ArrayLike, n: int, *, detrend: str = "mean") -> Fl
     a = np.asarray(diagonals, dtype=np.float64)
     inside = _projections(a, n, n, detrend) @ _basis(n, detrend)
     return np.asarray(n * a[..., n - 1] - np.trace(inside, axis1=-2, axis2=-1))
+
+
+def gapped_inner(
+    diagonals: ArrayLike, row_present: ArrayLike, column_present: ArrayLike, *, detrend: str = "mean"
+) -> FloatArray:
+    """Return ‖P A P‖² for Toeplitz matrices A of which only some rows and columns are there.
+
+    Parameters
+    ----------
+    diagonals : array_like, shape (..., n_row + n_column - 1)
+        The diagonals of A: A[i, j] = diagonals[j - i + n_row - 1].
+    row_present, column_present : array_like of bool, shapes (..., n_row) and (..., n_column)
+        Which rows and columns are there.
+    detrend : str
+        ``"mean"`` or ``"linear"``: P takes the mean, or the straight line, of what is there out of rows and columns.
+
+    Returns
+    -------
+    norm : ndarray, shape (...)
+        Σ_ij (PAP)²_ij over the rows and columns that are there.
+
+    Raises
+    ------
+    InputError
+        If the shapes disagree.
+
+    Notes
+    -----
+    With the indicators r and c of the rows and columns, and Q_r and Q_c the orthonormal columns of what P removes, zero
+    where nothing is there,
+
+        ‖PAP‖² = rᵀA²c − ‖Q_rᵀA diag c‖² − ‖diag r A Q_c‖² + ‖Q_rᵀA Q_c‖²,
+
+    A² element by element. All products of A with vectors are convolutions, by fast Fourier transforms: N log N each.
+
+    Examples
+    --------
+    Two of three samples of white noise, their mean removed:
+
+    >>> float(gapped_inner([0.0, 0.0, 1.0, 0.0, 0.0], [True, False, True], [True, False, True]).round(12))
+    1.0
+    """
+    a = np.asarray(diagonals, dtype=np.float64)
+    rows, columns = np.asarray(row_present, dtype=np.bool_), np.asarray(column_present, dtype=np.bool_)
+    check_choice(detrend, DETRENDING, what="detrend")
+    if min(a.ndim, rows.ndim, columns.ndim) == 0 or a.shape[-1] != rows.shape[-1] + columns.shape[-1] - 1:
+        raise InputError(
+            f"Invalid diagonals of shape {a.shape}: a matrix with row_present of shape {rows.shape} and column_present "
+            f"of shape {columns.shape} has one for each row and column, less one."
+        )
+    there = columns[..., np.newaxis, :].astype(np.float64)
+    total = np.sum(rows * _times(a * a, there)[..., 0, :], axis=-1)
+    left, right = _gapped_basis(rows, detrend), _gapped_basis(columns, detrend)
+    along_rows = rows[..., np.newaxis, :] * _times(a, right)
+    along_columns = there * _times(a[..., ::-1], left)
+    total -= np.sum(along_rows**2, axis=(-1, -2)) + np.sum(along_columns**2, axis=(-1, -2))
+    return np.asarray(total + np.sum((left @ along_rows.swapaxes(-1, -2)) ** 2, axis=(-1, -2)))
+
+
+def gapped_trace(diagonals: ArrayLike, present: ArrayLike, *, detrend: str = "mean") -> FloatArray:
+    """Return tr(P A P) for square Toeplitz matrices of which only some rows and columns are there; see `gapped_inner`.
+
+    Parameters
+    ----------
+    diagonals : array_like, shape (..., 2n - 1)
+        The diagonals of A.
+    present : array_like of bool, shape (..., n)
+        Which rows, and the same columns, are there.
+    detrend : str
+        ``"mean"`` or ``"linear"``.
+
+    Returns
+    -------
+    trace : ndarray, shape (...)
+        tr(P A P) = tr A − tr(QᵀAQ).
+
+    Examples
+    --------
+    >>> float(gapped_trace([0.0, 0.0, 1.0, 0.0, 0.0], [True, False, True]).round(12))
+    1.0
+    """
+    a, there = np.asarray(diagonals, dtype=np.float64), np.asarray(present, dtype=np.bool_)
+    basis = _gapped_basis(there, detrend)
+    inside = np.sum(basis * _times(a, basis), axis=(-1, -2))
+    return np.asarray(np.count_nonzero(there, axis=-1) * a[..., there.shape[-1] - 1] - inside)
+
+
+def _times(diagonals: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return A @ vector for Toeplitz matrices, shape (..., m, n_row), of vectors of shape (..., m, n_column)."""
+    n_lag, n_column = diagonals.shape[-1], vectors.shape[-1]
+    size = int(next_fast_len(n_lag + n_column - 1, real=True))
+    turned = rfft(diagonals[..., ::-1], size)[..., np.newaxis, :]
+    product = irfft(turned * rfft(vectors, size), size)
+    return np.asarray(product[..., n_column - 1 : n_lag])
+
+
+def _gapped_basis(present: NDArray[np.bool_], detrend: str) -> FloatArray:
+    """Return the orthonormal vectors that P removes, zero where nothing is there, shape (..., 1 or 2, n)."""
+    count = np.maximum(np.count_nonzero(present, axis=-1), 1)[..., np.newaxis]
+    vectors = [present / np.sqrt(count)]
+    if detrend == "linear":
+        place = np.arange(present.shape[-1], dtype=np.float64)
+        line = present * (place - np.sum(present * place, axis=-1, keepdims=True) / count)
+        length = np.linalg.norm(line, axis=-1, keepdims=True)
+        vectors.append(line / np.where(length > 0.0, length, 1.0))
+    return np.stack(vectors, axis=-2)
 
 
 def _basis(n: int, detrend: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The virtual lidar: what the beams of a scan measure in a box of turbulence that the mean wind carries past."""
+"""The virtual lidar: what the beams of a scan measure of turbulence that the mean wind carries past."""
 
 from __future__ import annotations
 
@@ -14,9 +14,18 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.special import diric
 
-from bayes_rs._validation import FloatArray, as_generator, check_array, check_choice, check_count, check_positive
+from bayes_rs._validation import (
+    FloatArray,
+    as_generator,
+    check_array,
+    check_choice,
+    check_count,
+    check_finite,
+    check_positive,
+)
 from bayes_rs.boxes import Box, BoxGrid, BoxMaker, choose_grid, generator_name
 from bayes_rs.errors import InputError
+from bayes_rs.lines import LineMaker
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.progress import progress
 from bayes_rs.scan import Scan
@@ -303,7 +312,8 @@ def simulate(
     duration: float = 600.0,
     n_records: int = 1,
     seed: int | np.random.Generator,
-    method: str = "boxes",
+    method: str = "lines",
+    shear: float = 0.0,
 ) -> xr.Dataset:
     """Simulate what a lidar measures: radial velocities of known turbulence.
 
@@ -322,28 +332,44 @@ def simulate(
     seed : int or numpy.random.Generator
         Same seed, same numbers.
     method : str
-        ``"boxes"``: frozen boxes of Mann turbulence, seen at a point by each beam.
+        ``"lines"``: the beams' radial velocities, drawn from their covariances in an infinite domain; see `LineMaker`.
+        ``"boxes"``: a virtual lidar in frozen, periodic boxes of Mann turbulence, which needs the extra ``boxes``.
+    shear : float
+        Vertical gradient of the mean wind dU/dz, 1/s; 0.0288 in the study of Fu, Peña and Mann (2022).
 
     Returns
     -------
     series : xarray.Dataset
         Dimension ``sample``: ``radial_velocity`` v_r = n·(U + u), m/s, positive away, with the coordinates ``time``
         (UTC, windows of `duration` end to end from 2000-01-01) and ``beam``. The attribute ``truth`` holds, as JSON,
-        the turbulence, the boxes and ``stresses_record``, the expected stresses of a record with its own mean removed.
+        the turbulence, how it was simulated, ``stresses``, and ``stresses_record``, the expected stresses of a record
+        with its own mean removed, m² s⁻².
 
     Raises
     ------
     InputError
-        If a number is not positive, or the method is unknown.
+        If a number is not valid, the method is unknown, the records do not fit into memory, or boxes are asked for
+        beams with a probe volume.
+    NotPositiveDefiniteError
+        If the covariances of lines are not those of any process to 10⁻³ of a variance.
     MissingExtraError
-        If hipersim is not installed.
+        If boxes are asked for and hipersim is not installed.
 
     Notes
     -----
-    A box provides as many records as fit end to end, in two places half a period apart in y and in z, at least 6 L
-    each. Records of one box are nearly independent: at the seed's flow, variances of u in neighbouring records are
-    correlated by 0.02, in the two places by 0.03; records of different boxes are independent. From window to window the
-    series is not continuous. No instrument noise, no probe volume.
+    The mean wind at height z above the lidar is U + z dU/dz along x; the turbulence is frozen and carried everywhere
+    with U, the mean wind at the lidar, as in the study of Fu, Peña and Mann (2022). So shear changes the means of the
+    beams and no variance. Each beam has as many samples as there are whole scans in `duration`. From window to window
+    the series is not continuous. No instrument noise.
+
+    Lines: records are independent of each other, and a record is the same however many follow. Boxes: a box provides
+    as many records as fit end to end, in two places half a period apart in y and in z, at least 6 L each. Records of
+    one box are nearly independent: at the seed's flow, variances of u in neighbouring records are correlated by 0.02,
+    in the two places by 0.03; records of different boxes are independent.
+
+    References
+    ----------
+    Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
 
     Examples
     --------
@@ -355,9 +381,12 @@ def simulate(
     """
     check_choice(method, tuple(SIMULATORS), what="method of simulation")
     count = check_count(n_records, what="n_records")
+    gradient = check_finite(shear, what="shear", unit="1/s")
     state = RecordState(scan, wind_speed, scan.yaw, duration)
     fluctuation, truth = SIMULATORS[method](state, turbulence, count, as_generator(seed))
-    velocity = fluctuation + (wind_speed * state.line_of_sight[:, 0])[:, None]
+    truth = {**truth, "wind_speed": float(wind_speed), "duration": float(duration), "shear": gradient}
+    mean_wind = wind_speed + gradient * state.focus[:, 2]
+    velocity = fluctuation + (mean_wind * state.line_of_sight[:, 0])[:, None]
     offset = scan.beam_time[:, None] + scan.scan_duration * np.arange(state.n_sample)
     seconds = duration * np.arange(count)[:, None, None] + offset
     order = np.argsort(seconds, axis=None, kind="stable")
@@ -382,6 +411,11 @@ def simulate(
 def _simulate_in_boxes(
     state: RecordState, turbulence: MannTurbulence, n_records: int, rng: np.random.Generator
 ) -> tuple[FloatArray, dict[str, Any]]:
+    if np.any(state.scan.probe_length > 0.0):
+        raise InputError(
+            f"The beams of scan {state.scan.name!r} have a probe volume ({state.scan.probe.kind}), and beams in boxes "
+            'see points: use method="lines".'
+        )
     grid = grid_for([state], turbulence)
     maker = BoxMaker(turbulence, grid)
     shift = np.array([[0.0, 0.0, 0.0], [0.0, 0.5 * grid.size[1], 0.5 * grid.size[2]]])
@@ -400,8 +434,6 @@ def _simulate_in_boxes(
         "length_scale": turbulence.length_scale,
         "gamma": turbulence.gamma,
         "turbulence": turbulence.name,
-        "wind_speed": float(state.wind_speed),
-        "duration": float(state.duration),
         "grid_shape": list(grid.shape),
         "grid_spacing": list(grid.spacing),
         "stresses": pack_stress(maker.tensor).tolist(),
@@ -410,7 +442,17 @@ def _simulate_in_boxes(
     return np.stack(records[:n_records]), truth
 
 
-SIMULATORS: dict[str, Callable[..., tuple[FloatArray, dict[str, Any]]]] = {"boxes": _simulate_in_boxes}
+def _simulate_lines(
+    state: RecordState, turbulence: MannTurbulence, n_records: int, rng: np.random.Generator
+) -> tuple[FloatArray, dict[str, Any]]:
+    maker = LineMaker(state.scan, turbulence, wind_speed=state.wind_speed, n_sample=state.n_sample, yaw=state.yaw)
+    return maker.make(n_records, rng), maker.truth()
+
+
+SIMULATORS: dict[str, Callable[..., tuple[FloatArray, dict[str, Any]]]] = {
+    "lines": _simulate_lines,
+    "boxes": _simulate_in_boxes,
+}
 """Ways to simulate records, by name: (state, turbulence, n_records, rng) → velocities (record, beam, sample), truth."""
 
 

@@ -45,9 +45,21 @@ def check_noise(noise, scan, folder):
     records = noise.for_records([3.0, 10.0], [0.0, 0.1])
     assert records.bias.shape == (2, scan.n_beam)
     assert records.covariance.shape == (2, scan.n_beam, scan.n_beam)
-    for index, state in enumerate(records.state):
-        np.testing.assert_array_equal(records.covariance[index], models[state].covariance)
-        assert records.wind_speed[index] == models[state].wind_speed
+    assert records.gain.shape == (2, scan.n_beam, 6)
+    if isinstance(noise, NoiseBank) and noise.net is not None:
+        for matrix in records.covariance:
+            lowest, highest = np.linalg.eigvalsh(matrix)[[0, -1]]
+            assert lowest > -64.0 * scan.n_beam * np.finfo(float).eps * highest
+        at_states = noise.for_records(noise.wind_speed, noise.yaw, length_scale=noise.length_scale, gamma=noise.gamma)
+        for index, model in enumerate(models):
+            np.testing.assert_array_equal(at_states.covariance[index], model.covariance)
+            np.testing.assert_array_equal(at_states.bias[index], model.bias)
+            np.testing.assert_allclose(at_states.gain[index], model.gain, atol=1e-7)  # geometry and rounding
+        assert not at_states.outside.any()
+    else:
+        for index, state in enumerate(records.state):
+            np.testing.assert_array_equal(records.covariance[index], models[state].covariance)
+            assert records.wind_speed[index] == models[state].wind_speed
 
     noise.save(folder / "noise.nc")
     again = load_noise(folder / "noise.nc")

@@ -369,7 +369,7 @@ class TestShipped:
 
     def test_some_of_its_beams(self):
         scan = load_scan("pulsed-4-beam").select([2, 3])
-        bank = find_shipped_noise(scan, FLOW)
+        bank = find_shipped_noise(scan, FLOW, method="boxes")
         assert isinstance(bank, NoiseBank)
         bank.check_scan(scan)
 
@@ -385,8 +385,11 @@ class TestShipped:
         ],
     )
     def test_anything_else_is_not_shipped(self, scan, turbulence, changes):
-        assert find_shipped_noise(load_scan("6-beam"), FLOW, wind_speed=10.0, yaw=0.0) is not None
-        assert find_shipped_noise(scan, turbulence, **changes) is None
+        for method in ("boxes", "theory"):
+            found = find_shipped_noise(load_scan("6-beam"), FLOW, wind_speed=10.0, yaw=0.0, method=method)
+            assert found is not None
+            assert found.method == method
+            assert find_shipped_noise(scan, turbulence, **changes, method=method) is None
 
     @pytest.mark.parametrize("changes", [{"seed": 2}, {"n_boxes": 10_000}, {"cache": False}])
     def test_not_used_for_another_seed_or_more_boxes_or_without_cache(self, changes, tmp_path, monkeypatch):
@@ -454,4 +457,4 @@ def test_damaged_shipped_file_is_named(tmp_path, monkeypatch):
     (tmp_path / "bad.nc").write_bytes(b"damaged")
     monkeypatch.setattr(noise_store, "models_folder", lambda _kind: tmp_path)
     with pytest.raises(InputError, match=r"bad\.nc' cannot be read"):
-        find_shipped_noise(load_scan("6-beam"), FLOW)
+        find_shipped_noise(load_scan("6-beam"), FLOW, method="boxes")

@@ -29,6 +29,8 @@ SHIPPED = {
     "pulsed-4-beam": load_scan("pulsed-4-beam"),
 }
 
+SHIPPED_BANKS = ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
+
 
 def make_noise(scan, *, wind_speed=10.0, yaw=0.0, **changes):
     factor = np.random.default_rng(scan.n_beam).normal(size=(scan.n_beam, 2 * scan.n_beam))
@@ -77,8 +79,21 @@ class TestEveryNoiseModel:
             assert np.all(np.linalg.eigvalsh(model.covariance) > 0.0)
             assert model.details["mean_deviation_sigmas"] < 5.0
 
+    @pytest.mark.parametrize("name", SHIPPED_BANKS)
+    def test_shipped_bank_by_theory(self, name, tmp_path):
+        file = models_folder("noise") / f"{name}-theory.nc"
+        bank, scan = load_noise(file), load_scan(name)
+        check_noise(bank, scan, tmp_path)
+        assert {model.method for model in bank.models} == {"theory"}
+        assert bank.interpolation_error < 0.01
+        assert bank.models[0].details["interpolation_error_beams"] == scan.n_beam
+        assert (bank.wind_speed.min(), bank.wind_speed.max()) == (2.5, 40.0)
+        np.testing.assert_allclose(np.rad2deg([bank.yaw.min(), bank.yaw.max()]), [-60.0, 60.0])
+        assert file.stat().st_size < 300_000
+
     def test_everything_shipped_is_tested(self):
-        assert {file.stem for file in models_folder("noise").glob("*.nc")} == set(SHIPPED)
+        banks = {f"{name}-theory" for name in SHIPPED_BANKS}
+        assert {file.stem for file in models_folder("noise").glob("*.nc")} == set(SHIPPED) | banks
 
 
 class TestShippedNumbers:
@@ -124,16 +139,23 @@ class TestShippedNumbers:
 
 class TestBank:
     def make_bank(self):
+        """Four states in the corners of a net and one more, so that they form none."""
         scan = load_scan("4-beam")
-        return NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (4.0, 9.0) for y in (-0.5, 0.5)))
+        states = [(4.0, -0.5), (4.0, 0.5), (9.0, -0.5), (9.0, 0.5), (100.0, 0.2)]
+        return NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u, y in states))
 
     @pytest.mark.parametrize(
         ("wind_speed", "yaw", "state"),
-        [(1.0, -3.0, 0), (5.9, 0.01, 1), (6.1, -0.01, 2), (30.0, 1.0, 3), (9.0, 0.5 + 2.0 * np.pi, 3)],
+        [(1.0, -3.0, 0), (5.9, 0.01, 1), (6.1, -0.01, 2), (25.0, 1.0, 3), (9.0, 0.5 + 2.0 * np.pi, 3)],
     )
     def test_nearest_in_logarithm_of_speed_and_in_yaw(self, wind_speed, yaw, state):
         noise = self.make_bank().for_records([wind_speed], [yaw])  # √(4 · 9) = 6 is half way in ln U
         assert noise.state.tolist() == [state]
+
+    def test_what_is_outside_is_marked(self):
+        noise = self.make_bank().for_records([3.9, 3.0, 120.0, 9.0, 9.0], [0.0, 0.0, 0.0, 0.53, 0.6])
+        assert noise.outside.tolist() == [False, True, True, False, True]
+        assert not make_noise(load_scan("4-beam")).for_records([1.0], [1.0]).outside.any()
 
     def test_scalars_are_broadcast(self):
         assert self.make_bank().for_records([4.0, 9.0, 9.0], 0.5).state.tolist() == [1, 3, 3]
@@ -158,6 +180,144 @@ class TestBank:
     def test_no_model(self):
         with pytest.raises(InputError, match="needs at least one noise model"):
             NoiseBank(())
+
+
+class TestNet:
+    """States that form a net are interpolated."""
+
+    speeds, yaws = (4.0, 8.0, 16.0), (-0.4, 0.0, 0.4)
+
+    def bank(self, power=1.0, order=None, **changes):
+        scan = load_scan("4-beam")
+        base = make_noise(scan)
+        models = [
+            replace(
+                base,
+                covariance=base.covariance * (10.0 / u) ** power,
+                gain=design_matrix(scan.at_yaw(y)),
+                wind_speed=u,
+                yaw=y,
+                **changes,
+            )
+            for u in self.speeds
+            for y in self.yaws
+        ]
+        return NoiseBank(tuple(models[i] for i in (range(9) if order is None else order)))
+
+    def test_a_power_of_the_wind_speed_is_followed_exactly(self):
+        speeds = np.geomspace(4.0, 16.0, 7)
+        noise = self.bank(power=1.3).for_records(speeds, 0.17)
+        want = make_noise(load_scan("4-beam")).covariance * (10.0 / speeds[:, None, None]) ** 1.3
+        np.testing.assert_allclose(noise.covariance, want, rtol=1e-12)
+        np.testing.assert_allclose(noise.wind_speed, speeds, rtol=1e-14)
+        assert len(set(noise.state.tolist())) == 7
+
+    def test_order_of_the_states_does_not_matter(self):
+        mixed = np.random.default_rng(1).permutation(9)
+        one, other = (bank.for_records([5.0, 11.0], [0.1, -0.3]) for bank in (self.bank(), self.bank(order=mixed)))
+        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-13)
+
+    def test_a_net_without_one_state_is_none(self):
+        assert self.bank().net is not None
+        assert self.bank(order=range(8)).net is None
+
+    def test_records_do_not_depend_on_each_other(self):
+        together = self.bank().for_records([5.0, 7.0, 7.0, 11.0], [0.1, 0.2, 0.2, -0.3])
+        alone = self.bank().for_records([7.0], [0.2])
+        for name in ("bias", "gain", "covariance", "wind_speed", "yaw"):
+            np.testing.assert_array_equal(getattr(together, name)[1], getattr(alone, name)[0])
+        assert together.state[1] == together.state[2] != together.state[0]
+
+    def test_outside_is_the_edge_and_is_marked(self):
+        noise = self.bank().for_records([1.0, 8.0, 3.9, 8.0], [0.0, 2.0, 0.0, 0.41])
+        edge = self.bank().for_records([4.0, 8.0, 4.0, 8.0], [0.0, 0.4, 0.0, 0.4])
+        np.testing.assert_array_equal(noise.covariance, edge.covariance)
+        assert noise.outside.tolist() == [True, True, False, False]
+        np.testing.assert_allclose(noise.wind_speed, [4.0, 8.0, 4.0, 8.0])
+        speed, yaw, outside = self.bank().locate([1.0, 8.0, 3.9, 8.0], [0.0, 2.0, 0.0, 0.41])
+        np.testing.assert_array_equal(speed, noise.wind_speed)
+        np.testing.assert_array_equal(yaw, noise.yaw)
+        np.testing.assert_array_equal(outside, noise.outside)
+
+    def test_gain_is_at_the_records_own_yaw_even_outside(self):
+        scan = load_scan("4-beam")
+        noise = self.bank().for_records([5.0, 5.0], [0.123, 1.1])
+        want = design_matrix(scan.at_yaw(np.array([0.123, 1.1])))
+        np.testing.assert_allclose(noise.gain, want, atol=1e-8)  # directions of a geometry are rounded to 1e-9
+
+    def test_what_the_probe_takes_is_interpolated(self):
+        scan = load_scan("4-beam")
+        bank = NoiseBank(
+            tuple(
+                make_noise(scan, wind_speed=u, yaw=0.0, gain=design_matrix(scan.at_yaw(0.0)) * (1.0 - change))
+                for u, change in ((5.0, 0.1), (10.0, 0.3))
+            )
+        )
+        noise = bank.for_records([np.sqrt(50.0)], [0.0])
+        np.testing.assert_allclose(noise.gain[0], 0.8 * design_matrix(scan), atol=1e-8)
+
+    def test_positive_semidefinite_between_singular_matrices(self):
+        """Rank one at each of five states, turning from state to state: third order leaves negative eigenvalues."""
+        scan = load_scan("4-beam")
+        vectors = [np.cos(turn + np.arange(4.0)) for turn in (0.0, 1.1, 2.5, 2.9, 4.0)]
+        bank = NoiseBank(
+            tuple(make_noise(scan, wind_speed=2.0 ** (i + 1), covariance=np.outer(v, v)) for i, v in enumerate(vectors))
+        )
+        noise = bank.for_records(np.geomspace(2.0, 32.0, 41), 0.0)
+        eigenvalues = np.linalg.eigvalsh(noise.covariance)
+        assert np.all(eigenvalues[:, 0] > -1e-14 * eigenvalues[:, -1])
+        assert noise.negative_part.max() > 0.01  # there was something to take away, and it is told
+        assert noise.negative_part[0] == 0.0
+
+    def test_several_turbulences_need_a_net_and_are_asked_for(self, tmp_path):
+        scan = load_scan("4-beam")
+        models = [
+            make_noise(
+                scan,
+                wind_speed=u,
+                bias=np.full(4, -0.001 * scale),
+                turbulence=replace(FLOW, length_scale=scale, gamma=gamma),
+            )
+            for u in (5.0, 10.0)
+            for scale in (30.0, 60.0)
+            for gamma in (2.0, 3.0)
+        ]
+        bank = NoiseBank(tuple(models))
+        noise = bank.for_records([7.0], [0.0], length_scale=[np.sqrt(1800.0)], gamma=[2.5])
+        np.testing.assert_allclose(noise.bias, -0.045)
+        one = bank.at_turbulence(np.sqrt(1800.0), 2.5)
+        assert len(one.models) == 2
+        assert (one.turbulence.length_scale, one.turbulence.gamma) == (np.sqrt(1800.0), 2.5)
+        np.testing.assert_allclose(one.for_records([7.0], [0.0]).bias, -0.045)
+        with pytest.raises(InputError, match="spans length_scale 30 to 60: give the length_scale of the records"):
+            bank.for_records([7.0], [0.0])
+        with pytest.raises(InputError, match="must be of one record length and one turbulence"):
+            NoiseBank(tuple(models[:3]))
+        with pytest.raises(InputError, match="form no net, so nothing can be interpolated"):
+            TestBank().make_bank().at_turbulence(61.0, 3.2)
+        bank.save(tmp_path / "bank.nc")
+        again = load_noise(tmp_path / "bank.nc")
+        assert again.to_dataset().identical(bank.to_dataset())
+        assert again.length_scale.tolist() == [30.0, 30.0, 60.0, 60.0] * 2
+
+    def test_single_precision(self, tmp_path):
+        scan = load_scan("50-beam")
+        root = np.random.default_rng(3).normal(size=(50, 3))  # rank 3: rounding makes eigenvalues negative
+        bank = NoiseBank(
+            tuple(
+                make_noise(scan, wind_speed=u, covariance=root @ root.T / u, gain=1.01 * design_matrix(scan))
+                for u in (5.0, 10.0)
+            )
+        )
+        bank.save(tmp_path / "double.nc")
+        bank.save(tmp_path / "single.nc", single_precision=True)
+        assert (tmp_path / "single.nc").stat().st_size < 0.6 * (tmp_path / "double.nc").stat().st_size
+        again = load_noise(tmp_path / "single.nc")
+        for have, want in zip(again.models, bank.models, strict=True):
+            size = np.abs(want.covariance).max()
+            np.testing.assert_allclose(have.covariance, want.covariance, atol=1e-7 * size)
+            np.testing.assert_allclose(have.gain, want.gain, atol=1e-7)
+            np.testing.assert_allclose(have.bias, want.bias, rtol=1e-7)
 
 
 class TestWrongScan:

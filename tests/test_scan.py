@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from bayes_rs import InputError, Scan, load_scan
 from bayes_rs.models import models_folder, preset_names
+from bayes_rs.probe import ContinuousWaveProbe, PointProbe
 from bayes_rs.scan import tilt_matrix, yaw_matrix
 from bayes_rs.scan_file import cone_direction
 
@@ -124,6 +125,31 @@ class TestOverrides:
         with pytest.raises(InputError, match=r"lists its beams one by one, so opening_angle_deg=20.0 does not apply"):
             load_scan("pulsed-4-beam", opening_angle_deg=20.0)
 
+    def test_probe_can_be_switched_off_or_given(self):
+        scan = load_scan("zx-tm-probe")
+        np.testing.assert_allclose(scan.probe_length, 1.565e-6 * 50.0**2 / (np.pi * 0.028**2))
+        assert load_scan("zx-tm-probe", probe="point").geometry() == load_scan("zx-tm").geometry()
+        given = load_scan("6-beam", probe=ContinuousWaveProbe(rayleigh_length=3.0))
+        assert given.geometry()["probe"] == {"kind": "continuous-wave", "rayleigh_length": 3.0}
+        assert given.key != load_scan("6-beam").key
+        assert given.select([2, 3]).probe == given.probe
+
+    def test_other_names_of_probes_are_refused(self):
+        with pytest.raises(
+            InputError, match=r"Invalid probe 'pulsed': it must be 'point', or a probe with its lengths"
+        ):
+            load_scan("6-beam", probe="pulsed")
+
+    @pytest.mark.parametrize("name", ["zx-tm", "zx-300", "spinnerlidar", "pulsed-4-beam"])
+    def test_presets_with_a_probe_are_the_ones_without_but_for_it(self, name):
+        with_probe, without = load_scan(f"{name}-probe"), load_scan(name)
+        assert without.probe == PointProbe()
+        assert np.all(with_probe.probe_length > 0.0)
+        geometry = with_probe.geometry()
+        geometry.pop("probe")
+        assert geometry == without.geometry()
+        assert with_probe.file_format == without.file_format
+
     @pytest.mark.parametrize("distance", [-98.0, 0.0, np.nan, np.inf])
     def test_bad_focus_distance_is_refused(self, distance):
         with pytest.raises(InputError, match=r"Invalid scan file .*6-beam.toml': beams.focus_distance"):
@@ -196,6 +222,41 @@ class TestFiles:
             load_scan(write(GOOD.replace(old, new, 1)))
         assert "\n" not in str(caught.value)
 
+    def test_a_probe_in_a_file(self, write):
+        scan = load_scan(write(GOOD + '[probe]\nkind = "pulsed"\ngate_length = 30.0\n'))
+        assert scan.geometry()["probe"] == {
+            "kind": "pulsed",
+            "pulse": "top-hat",
+            "gate_length": 30.0,
+            "pulse_length": 30.0,
+        }
+        assert load_scan(write(GOOD + '[probe]\nkind = "point"\n')).key == load_scan(write(GOOD)).key
+
+    @pytest.mark.parametrize(
+        ("lines", "message"),
+        [
+            ('kind = "laser"', r"mine.toml': probe.*continuous-wave"),
+            ("wavelength = 1.5e-6", r"mine.toml': probe = .*kind"),
+            ('kind = "continuous-wave"', r"give either rayleigh_length, or wavelength and aperture_radius"),
+            (
+                'kind = "continuous-wave"\nrayleigh_length = -1.0',
+                r"probe\.rayleigh_length = -1\.0: input should be greater",
+            ),
+            ('kind = "continuous-wave"\ngate_length = 1.0', r"probe\.gate_length = 1\.0: unknown key"),
+            ('kind = "pulsed"', r"probe\.gate_length: required key is missing"),
+            (
+                'kind = "pulsed"\ngate_length = 30.0\npulse = "sech"',
+                r"probe\.pulse = 'sech': input should be 'top-hat' or",
+            ),
+            ('kind = "pulsed"\ngate_length = 30.0\npulse = "gaussian"', r"pulse_length is missing"),
+            ('kind = "point"\ngate_length = 30.0', r"probe\.gate_length = 30\.0: unknown key"),
+        ],
+    )
+    def test_what_is_wrong_with_a_probe_is_said_in_one_line(self, write, lines, message):
+        with pytest.raises(InputError, match=message) as caught:
+            load_scan(write(f"{GOOD}[probe]\n{lines}\n"))
+        assert "\n" not in str(caught.value)
+
     def test_missing_file(self, tmp_path):
         with pytest.raises(
             InputError, match=r"No file '.*none.toml': give the path of a TOML file, or one of the names"
@@ -221,6 +282,10 @@ class TestScanObject:
     def test_beam_time_outside_the_scan_is_refused(self):
         with pytest.raises(InputError, match=r"Invalid beam_time in scan 'x': every time must be in \[0, 1\) s"):
             Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([1.0]), 1.0)
+
+    def test_a_probe_must_be_one(self):
+        with pytest.raises(InputError, match=r"Invalid probe 'point' of scan 'x': it must be a Probe"):
+            Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([0.0]), 1.0, probe="point")
 
     def test_unknown_beam_is_refused(self):
         with pytest.raises(InputError, match=r"Unknown beam 9 in scan '4-beam': its beams are \[0, 1, 2, 3\]"):

@@ -1,6 +1,7 @@
 """The virtual lidar: exact interpolation, frozen turbulence, simulated series."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_rs.boxes import Box, BoxGrid, BoxMaker
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.forward import radial_variance
 from bayes_rs.mann import MannTurbulence
+from bayes_rs.records import make_records
 from bayes_rs.scan import Scan
 from bayes_rs.scan_file import load_scan
 from bayes_rs.virtual import (
+    SIMULATORS,
     RecordState,
     beam_lines,
     grid_for,
@@ -170,9 +173,14 @@ class TestState:
         assert placements(BoxGrid((8, 8, 8), (10.0, 10.0, 10.0)), 61.0).tolist() == [[0.0, 0.0, 0.0]]
 
 
+@pytest.fixture(scope="module", params=SIMULATORS)
+def settings_of(request):
+    return {**SETTINGS, "method": request.param}
+
+
 @pytest.fixture(scope="module")
-def series():
-    return simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS)
+def series(settings_of):
+    return simulate(load_scan("6-beam"), WIDE_EDDIES, **settings_of)
 
 
 class TestSimulate:
@@ -191,19 +199,35 @@ class TestSimulate:
     def test_truth_is_told(self, series):
         truth = json.loads(series.attrs["truth"])
         assert truth["length_scale"] == 100.0
-        assert truth["generator"].startswith("hipersim")
+        assert (truth["wind_speed"], truth["duration"], truth["shear"]) == (10.0, 60.0, 0.0)
         assert truth["stresses_record"][0] < truth["stresses"][0]  # a record loses its slow eddies
         assert truth["stresses"][4] < 0.0
 
-    def test_same_seed_same_numbers(self, series):
-        assert series.identical(simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS))
+    def test_each_method_tells_how(self):
+        scan, truths = load_scan("6-beam"), {}
+        for method in SIMULATORS:
+            truths[method] = json.loads(simulate(scan, WIDE_EDDIES, **SETTINGS, method=method).attrs["truth"])
+            assert truths[method]["method"] == method
+        assert truths["boxes"]["generator"].startswith("hipersim")
+        assert truths["lines"]["negative_part"] < 1e-6
+        np.testing.assert_allclose(truths["lines"]["stresses"], WIDE_EDDIES.stresses())  # an infinite domain's
 
-    def test_a_generator_is_a_seed(self, series):
-        again = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**SETTINGS, "seed": np.random.default_rng(3)})
+    def test_lines_are_the_default_and_need_no_hipersim(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "hipersim", None)
+        series = simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS)
+        assert json.loads(series.attrs["truth"])["method"] == "lines"
+        with pytest.raises(MissingExtraError, match="hipersim"):
+            simulate(load_scan("6-beam"), WIDE_EDDIES, **SETTINGS, method="boxes")
+
+    def test_same_seed_same_numbers(self, series, settings_of):
+        assert series.identical(simulate(load_scan("6-beam"), WIDE_EDDIES, **settings_of))
+
+    def test_a_generator_is_a_seed(self, series, settings_of):
+        again = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**settings_of, "seed": np.random.default_rng(3)})
         assert series.identical(again)
 
-    def test_more_records_begin_with_the_same(self, series):
-        fewer = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**SETTINGS, "n_records": 2})
+    def test_more_records_begin_with_the_same(self, series, settings_of):
+        fewer = simulate(load_scan("6-beam"), WIDE_EDDIES, **{**settings_of, "n_records": 2})
         assert fewer["radial_velocity"].equals(series["radial_velocity"][: 2 * 60 * 6])
 
     def test_mean_wind_is_in_the_radial_velocity(self, series):
@@ -217,23 +241,77 @@ class TestSimulate:
         assert series["time"].values[second.values][0] == np.datetime64("2000-01-01T00:01:02")
 
     def test_unknown_method(self):
-        with pytest.raises(InputError, match="Unknown method of simulation 'magic': it must be one of boxes"):
+        with pytest.raises(InputError, match="Unknown method of simulation 'magic': it must be one of lines, boxes"):
             simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, method="magic")
+
+    def test_boxes_are_seen_at_points(self):
+        scan = load_scan("pulsed-4-beam-probe")
+        with pytest.raises(InputError, match=r"a probe volume \(pulsed\), and beams in boxes see points: use method"):
+            simulate(scan, WIDE_EDDIES, **SETTINGS, method="boxes")
+        truth = json.loads(simulate(scan, WIDE_EDDIES, **SETTINGS).attrs["truth"])
+        assert truth["probe"]["kind"] == "pulsed"
 
     def test_number_of_records(self):
         with pytest.raises(InputError, match="Invalid n_records 0"):
             simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, n_records=0)
 
-    def test_variances_average_to_the_record_tensor(self):
+    @pytest.mark.parametrize("method", SIMULATORS)
+    def test_variances_average_to_the_record_tensor(self, method):
         scan = load_scan("6-beam", opening_angle_deg=45.0, yaw_deg=25.0)
         n_records = 240
-        series = simulate(scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, n_records=n_records, seed=5)
+        flow = {"wind_speed": 10.0, "duration": 60.0}
+        series = simulate(scan, WIDE_EDDIES, **flow, n_records=n_records, seed=5, method=method)
         truth = json.loads(series.attrs["truth"])
         velocity = np.stack([series["radial_velocity"].values[series["beam"].values == beam] for beam in scan.beam])
         variance = velocity.reshape(scan.n_beam, n_records, 60).var(axis=-1)
         expected = radial_variance(scan.line_of_sight, truth["stresses_record"])
         error = variance.std(axis=1, ddof=1) / np.sqrt(n_records)
         assert np.all(np.abs(variance.mean(axis=1) - expected) < 4.5 * error)  # Monte Carlo, six beams, skewed
-        state = RecordState(scan, 10.0, scan.yaw, 60.0)
-        maker = BoxMaker(WIDE_EDDIES, grid_for([state], WIDE_EDDIES))
-        np.testing.assert_allclose(state.expected_variance(maker), expected, rtol=1e-9)
+        if method == "boxes":
+            state = RecordState(scan, 10.0, scan.yaw, 60.0)
+            maker = BoxMaker(WIDE_EDDIES, grid_for([state], WIDE_EDDIES))
+            np.testing.assert_allclose(state.expected_variance(maker), expected, rtol=1e-9)
+
+
+SHEAR = 0.0288  # 1/s, of the seed's study
+
+
+class TestShear:
+    """The mean wind grows with height; the turbulence is carried with the wind at the lidar, so variances stay."""
+
+    @pytest.mark.parametrize("method", SIMULATORS)
+    def test_adds_its_wind_to_every_sample_of_a_beam(self, method):
+        scan = load_scan("6-beam", opening_angle_deg=45.0, yaw_deg=25.0, tilt_deg=6.0)
+        plain, sheared = (simulate(scan, WIDE_EDDIES, **SETTINGS, method=method, shear=shear) for shear in (0.0, SHEAR))
+        added = SHEAR * scan.focus_distance * scan.line_of_sight[:, 2] * scan.line_of_sight[:, 0]
+        assert np.ptp(added) > 1.0
+        each = added[np.searchsorted(scan.beam, plain["beam"].values)]
+        difference = sheared["radial_velocity"].values - plain["radial_velocity"].values
+        np.testing.assert_allclose(difference, each, atol=ROUNDING)
+        assert json.loads(sheared.attrs["truth"])["shear"] == SHEAR
+
+    def test_sign(self):
+        """Wind grows upwards: an upper beam sees it come in faster."""
+        scan = load_scan("4-beam")
+        flow = MannTurbulence(dissipation=1e-12, length_scale=61.0, gamma=3.2)
+        series = simulate(scan, flow, wind_speed=10.0, duration=60.0, seed=1, shear=SHEAR)
+        mean = series["radial_velocity"].groupby(series["beam"]).mean().values
+        up = scan.line_of_sight[:, 2] > 0.0
+        assert mean[up].max() < 10.0 * scan.line_of_sight[0, 0] < mean[~up].min()
+
+    @pytest.mark.parametrize("name", ["4-beam", "6-beam", "50-beam"])
+    @pytest.mark.parametrize("yaw_deg", [0.0, 20.0])
+    def test_changes_no_variance_and_leaves_the_wind_of_a_symmetric_scan(self, name, yaw_deg):
+        scan = load_scan(name, yaw_deg=yaw_deg)
+        plain, sheared = (
+            make_records(simulate(scan, WIDE_EDDIES, **SETTINGS, shear=shear), scan, duration=60.0)
+            for shear in (0.0, SHEAR)
+        )
+        np.testing.assert_allclose(sheared["variance"].values, plain["variance"].values, rtol=1e-9)
+        assert np.abs(sheared["mean"] - plain["mean"]).max() > 0.4
+        np.testing.assert_allclose(sheared["wind_speed"], plain["wind_speed"], atol=ROUNDING)
+        np.testing.assert_allclose(sheared["yaw"], plain["yaw"], atol=1e-9)
+
+    def test_must_be_a_number(self):
+        with pytest.raises(InputError, match="Invalid shear nan 1/s"):
+            simulate(load_scan("4-beam"), WIDE_EDDIES, **SETTINGS, shear=np.nan)

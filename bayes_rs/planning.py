@@ -1,0 +1,177 @@
+"""The plan of a scene: what is computed, what is skipped and why, and what bounds the error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_rs.forward import sight
+from bayes_rs.mann import MannTurbulence
+from bayes_rs.noise import NoiseModel
+from bayes_rs.prior import Prior, make_prior
+from bayes_rs.sampling import N_CHAIN
+from bayes_rs.scan import Scan
+from bayes_rs.theory import theory_noise
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that a scene needs, or lets us skip.
+
+    Parameters
+    ----------
+    what : str
+        The computation.
+    decision : str
+        What is done, in a few words.
+    why : str
+        The reason.
+    bound : str
+        What bounds the error that the decision makes.
+    """
+
+    what: str
+    decision: str
+    why: str
+    bound: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The plan of a scene.
+
+    Parameters
+    ----------
+    title : str
+        The scene in one line.
+    steps : tuple of Step
+        In the order in which the fit takes them.
+    noise : NoiseModel
+        The noise of the scene, which the plan had to compute to know its bounds.
+    """
+
+    title: str
+    steps: tuple[Step, ...]
+    noise: NoiseModel
+
+    def lines(self) -> list[str]:
+        """Return the plan as lines to print."""
+        text = [self.title]
+        for step in self.steps:
+            text += ["", f"{step.what}: {step.decision}", f"  why    {step.why}", f"  error  {step.bound}"]
+        return text
+
+
+def plan(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    *,
+    wind_speed: float,
+    duration: float = 600.0,
+    prior: str | Prior = "weak",
+    target_ess: int = 1000,
+) -> Plan:
+    """Work out what a scene needs computed and what it lets us skip.
+
+    Parameters
+    ----------
+    scan : Scan
+        The scan.
+    turbulence : MannTurbulence
+        The turbulence of the noise.
+    wind_speed : float
+        Mean wind speed, m/s.
+    duration : float
+        Length of a record, s.
+    prior : str or Prior
+        The prior.
+    target_ess : int
+        Effective sample size to reach for every stress.
+
+    Returns
+    -------
+    plan : Plan
+        Decisions with their reasons and bounds; nothing is sampled.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Examples
+    --------
+    >>> from bayes_rs import load_scan, load_turbulence
+    >>> made = plan(load_scan("50-beam"), load_turbulence("fu-2022"), wind_speed=10.0)
+    >>> made.steps[2].decision
+    '50 variances a record are reduced to 5 numbers'
+    """
+    chosen = make_prior(prior)
+    noise = theory_noise(scan, turbulence, wind_speed=wind_speed, duration=duration)
+    seen = sight(scan)
+    title = (
+        f"{scan.name} ({scan.n_beam} beams), {duration:g} s at {wind_speed:g} m/s, turbulence {turbulence.name}, "
+        f"prior {chosen.name}"
+    )
+    return Plan(title, (*_noise_steps(scan, noise), *_data_steps(scan, noise, seen.rank), _sampling(target_ess)), noise)
+
+
+def _noise_steps(scan: Scan, noise: NoiseModel) -> list[Step]:
+    pairs, unique = noise.details["n_pairs"], noise.details["n_unique_pairs"]
+    skipped = f"; {pairs - unique} repeat another pair's separation and directions" if pairs > unique else ""
+    return [
+        Step(
+            "noise of the variances",
+            "by theory: no box and no line is simulated",
+            "frozen Gaussian turbulence has a covariance of variances in closed form (Isserlis), for the record's own "
+            "samples",
+            f"every entry of K within {noise.details['covariance_error']:.1g} (K is {noise.covariance.max():.2g} at most)",
+        ),
+        Step(
+            "pairs of beams",
+            f"{unique} of {pairs} computed{skipped}",
+            "pairs with the same separation and the same two directions have the same covariance",
+            "equal to the long way, to rounding",
+        ),
+    ]
+
+
+def _data_steps(scan: Scan, noise: NoiseModel, rank: int) -> list[Step]:
+    if scan.n_beam > rank:
+        reduction = Step(
+            "data",
+            f"{scan.n_beam} variances a record are reduced to {rank} number{'s' * (rank > 1)}",
+            "the stresses move the variances in no more independent ways; the rest is noise",
+            "the density of the reduced data is exact; what the noise shares with the rest is given up",
+        )
+    else:
+        reduction = Step(
+            "data", "all variances are used as they are", "no more beams than directions of R that they see", "none"
+        )
+    if rank < 6:
+        unseen = Step(
+            "unseen directions",
+            f"{6 - rank} of 6 directions of R are left to the prior: the scan {sight(scan).in_words()}",
+            "no radial variance changes along them",
+            "they are sampled with the rest, so none; contraction near zero shows them in the result",
+        )
+    else:
+        unseen = Step("unseen directions", "none: the scan sees all six stresses", "rank 6", "none")
+    worst = float(np.max(noise.relative_error))
+    weight = Step(
+        "weight of a record",
+        f"a variance is known to {100 * worst:.0f} % at worst",
+        "finite record with its own mean removed, which takes "
+        f"{-100 * float(np.min(noise.bias)):.0f} % of the variance at most",
+        "of the noise, as above",
+    )
+    return [reduction, unseen, weight]
+
+
+def _sampling(target_ess: int) -> Step:
+    return Step(
+        "sampling",
+        f"all records in one emcee ensemble, {N_CHAIN} walkers each; burn-in of a few steps",
+        "walkers start at draws of a proposal fitted to each record's mode, resampled to the posterior",
+        f"chains are doubled until every stress has {target_ess} effective draws, or flagged",
+    )

@@ -1,0 +1,47 @@
+"""Make the noise banks by theory that are shipped in models/noise, and print a table of their sizes and errors.
+
+Usage: python benchmarks/make_noise_banks.py [NAME ...]
+"""
+
+import sys
+import time
+from dataclasses import replace
+
+from bayes_rs import load_scan, load_turbulence
+from bayes_rs.models import models_folder
+from bayes_rs.noise import NoiseBank, load_noise
+from bayes_rs.noise_bank import measure_interpolation, theory_bank
+from bayes_rs.noise_store import THEORY_SUFFIX
+
+SCANS = ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
+WIND_SPEEDS = (3.0, 25.0)
+YAWS_DEG = (-60.0, 60.0)
+
+
+def main(names: list[str]) -> None:
+    """Make the banks of the scans that are named, or of all."""
+    turbulence = load_turbulence("fu-2022")
+    print("| scan | beams | states | error of K between them | file, kB | seconds |\n|---|---|---|---|---|---|")
+    for name in names or SCANS:
+        start = time.perf_counter()
+        scan = load_scan(name)
+        bank = theory_bank(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
+        seconds = time.perf_counter() - start
+        error = measure_interpolation(bank, scan)  # with all beams, not some
+        stated = {"interpolation_error": error, "interpolation_error_beams": scan.n_beam}
+        models = []
+        for model in bank.models:
+            kept = {key: value for key, value in model.details.items() if key != "key"}
+            models.append(replace(model, details={**kept, **stated}))
+        file = models_folder("noise") / f"{name}{THEORY_SUFFIX}.nc"
+        NoiseBank(tuple(models)).save(file, overwrite=True, single_precision=True)
+        load_noise(file).check_scan(scan)
+        size = file.stat().st_size / 1000.0
+        print(
+            f"| {name} | {scan.n_beam} | {len(models)} | {100.0 * error:.2f} % | {size:.0f} | {seconds:.1f} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,326 @@
+"""Banks by theory: their stated errors, their cache, and which noise records get from them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayes_rs import fitting, noise_bank
+from bayes_rs.calibration import METHODS
+from bayes_rs.errors import InputError
+from bayes_rs.fitting import fit
+from bayes_rs.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
+from bayes_rs.mann import MannTurbulence, load_turbulence
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_bank import measure_interpolation, theory_bank
+from bayes_rs.noise_choice import noise_for_records
+from bayes_rs.noise_store import find_shipped_noise
+from bayes_rs.scan_file import load_scan
+from bayes_rs.theory import theory_noise
+
+FLOW = load_turbulence("fu-2022")
+FREE = {"wind_speed": [4.0, 18.0], "yaw_deg": [-25.0, 33.0], "cache": False}
+
+
+@pytest.fixture
+def no_theory(monkeypatch):
+    def fail(*_arguments):
+        raise AssertionError("noise was calculated")
+
+    monkeypatch.setitem(METHODS, "theory", replace(METHODS["theory"], make=fail))
+
+
+def relative_distance(have, want):
+    return np.linalg.norm(have - want, axis=(-2, -1)) / np.linalg.norm(want, axis=(-2, -1))
+
+
+class TestStatedError:
+    @pytest.mark.parametrize("name", ["6-beam", "pulsed-4-beam"])
+    def test_holds_at_random_states(self, name):
+        scan = load_scan(name)
+        bank = theory_bank(scan, FLOW, **FREE)
+        assert bank.interpolation_error <= 0.01
+        rng = np.random.default_rng(2)
+        speed, yaw = np.exp(rng.uniform(np.log(4.0), np.log(18.0), 25)), np.deg2rad(rng.uniform(-25.0, 33.0, 25))
+        noise = bank.for_records(speed, yaw)
+        truth = [theory_noise(scan, FLOW, wind_speed=u, yaw=y) for u, y in zip(speed, yaw, strict=True)]
+        error = relative_distance(noise.covariance, np.stack([model.covariance for model in truth]))
+        # the error is measured in the middle of the cells, which need not be the very worst place of one
+        assert np.max(error) < 1.2 * bank.interpolation_error
+        assert np.max(error) > 0.1 * bank.interpolation_error
+        np.testing.assert_allclose(noise.bias, [model.bias for model in truth], atol=2e-3)
+        np.testing.assert_allclose(noise.gain, [model.gain for model in truth], atol=1e-8)
+
+    def test_some_beams_stand_for_all(self):
+        scan = load_scan("51-beam").select(np.arange(0, 50, 2))
+        bank = theory_bank(scan, FLOW, wind_speed=[5.0, 10.0], yaw_deg=[0.0, 20.0], error_beams=5, cache=False)
+        assert bank.models[0].details["interpolation_error_beams"] == 5
+        assert measure_interpolation(bank, scan) == pytest.approx(bank.interpolation_error, rel=0.5)
+
+    def test_the_net_is_refined_until_it_is_good_enough(self):
+        coarse, fine = (theory_bank(load_scan("staring"), FLOW, **FREE, tolerance=t) for t in (0.05, 3e-4))
+        assert 3e-4 < coarse.interpolation_error <= 0.05
+        assert fine.interpolation_error <= 3e-4
+        assert len(fine.models) > len(coarse.models)
+        kept = {(m.wind_speed, round(m.yaw, 9)) for m in coarse.models}
+        assert kept < {(m.wind_speed, round(m.yaw, 9)) for m in fine.models}
+        assert measure_interpolation(fine, load_scan("staring")) == pytest.approx(fine.interpolation_error)
+
+    def test_a_limit_of_states_is_told_by_the_error(self, monkeypatch):
+        monkeypatch.setattr(noise_bank, "_MOST_STATES", 20)
+        bank = theory_bank(load_scan("staring"), FLOW, **FREE, tolerance=1e-6)
+        assert len(bank.models) <= 20
+        assert bank.interpolation_error > 1e-6
+
+    def test_ranges_without_extent_are_one_node(self):
+        bank = theory_bank(load_scan("staring"), FLOW, wind_speed=[7.3, 7.3], yaw_deg=[-10.0, 10.0], cache=False)
+        assert np.unique(bank.wind_speed).tolist() == [7.3]
+        one = theory_bank(load_scan("staring"), FLOW, wind_speed=[7.3], cache=False)
+        assert len(one.models) == 1
+        assert measure_interpolation(theory_bank(load_scan("2-beam"), FLOW, **FREE), load_scan("2-beam")) <= 0.01
+
+    def test_length_scale_and_anisotropy_are_axes_too(self):
+        scan = load_scan("2-beam")
+        bank = theory_bank(
+            scan, FLOW, wind_speed=[9.0], length_scale=[35.0, 70.0], gamma=[3.1, 3.9], tolerance=0.02, cache=False
+        )
+        assert bank.interpolation_error <= 0.02
+        noise = bank.for_records([9.0], [scan.yaw], length_scale=[50.0], gamma=[3.5])
+        truth = theory_noise(scan, replace(FLOW, length_scale=50.0, gamma=3.5), wind_speed=9.0)
+        assert relative_distance(noise.covariance[0], truth.covariance) < 1.2 * bank.interpolation_error
+
+    def test_a_probe_is_interpolated(self):
+        from bayes_rs.probe import ContinuousWaveProbe  # noqa: PLC0415
+
+        scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
+        bank = theory_bank(scan, FLOW, wind_speed=[8.0, 14.0], yaw_deg=[0.0, 20.0], duration=120.0, cache=False)
+        noise = bank.for_records([11.0], np.deg2rad([9.0]))
+        truth = theory_noise(scan, FLOW, wind_speed=11.0, yaw=np.deg2rad(9.0), duration=120.0)
+        assert relative_distance(noise.covariance[0], truth.covariance) < 0.012
+        np.testing.assert_allclose(noise.gain[0], truth.gain, atol=2e-3)
+        assert np.max(noise.gain[0, :, 0] / load_scan("2-beam").line_of_sight[:, 0] ** 2) < 1.0
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"wind_speed": []}, "Invalid wind_speed"),
+            ({"wind_speed": [0.0, 5.0]}, "Invalid wind_speed .*numbers above zero"),
+            ({"yaw_deg": [np.nan]}, "Invalid yaw_deg: the entry at"),
+            ({"tolerance": 0.0}, "Invalid tolerance"),
+        ],
+    )
+    def test_message(self, change, message):
+        with pytest.raises(InputError, match=message):
+            theory_bank(load_scan("staring"), FLOW, **{**FREE, **change})
+
+    def test_states_without_a_net_cannot_be_measured(self):
+        one = theory_noise(load_scan("staring"), FLOW, wind_speed=9.0)
+        with pytest.raises(InputError, match="form no net"):
+            measure_interpolation(NoiseBank((one,)), load_scan("staring"))
+
+
+class TestCache:
+    def make(self, folder, **changes):
+        options = {**FREE, "cache": folder, **changes}
+        scan = options.pop("scan", load_scan("2-beam"))
+        return theory_bank(scan, options.pop("turbulence", FLOW), **options)
+
+    def test_second_time_nothing_is_calculated(self, tmp_path, no_theory, monkeypatch):  # noqa: ARG002
+        with monkeypatch.context() as patch:
+            patch.setitem(METHODS, "theory", REAL)
+            first = self.make(tmp_path)
+        assert self.make(tmp_path).to_dataset().identical(first.to_dataset())
+        # the nodes do not move with the records: another day in the same cells
+        assert self.make(tmp_path, wind_speed=[3.0, 15.0], yaw_deg=[-30.0, 25.0]).interpolation_error < 0.01
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"wind_speed": [4.0, 21.0]},
+            {"yaw_deg": [-25.0, 45.0]},
+            {"duration": 1800.0},
+            {"tolerance": 0.02},
+            {"error_beams": 1},
+            {"turbulence": replace(FLOW, gamma=3.3)},
+            {"turbulence": replace(FLOW, length_scale=62.0)},
+            {"length_scale": [60.0, 61.0]},
+            {"scan": load_scan("2-beam", focus_distance=99.0)},
+        ],
+    )
+    def test_anything_else_is_calculated(self, tmp_path, changes, no_theory, monkeypatch):  # noqa: ARG002
+        with monkeypatch.context() as patch:
+            patch.setitem(METHODS, "theory", REAL)
+            self.make(tmp_path)
+        with pytest.raises(AssertionError, match="noise was calculated"):
+            self.make(tmp_path, **changes)
+
+    def test_a_damaged_file_is_calculated_again(self, tmp_path):
+        first = self.make(tmp_path)
+        next(tmp_path.glob("*.nc")).write_bytes(b"damaged")
+        assert self.make(tmp_path).to_dataset().identical(first.to_dataset())
+
+
+REAL = METHODS["theory"]
+
+
+class TestForRecords:
+    def records(self, wind_speed, yaw, duration=600.0):
+        return xr.Dataset({"wind_speed": ("record", wind_speed), "yaw": ("record", yaw)}, attrs={"duration": duration})
+
+    @pytest.mark.usefixtures("no_theory")
+    def test_shipped(self):
+        records = self.records([4.0, 9.0, np.nan, 24.0], [-50.0, 0.0, 0.0, 33.0])
+        noise, words = noise_for_records(records, load_scan("6-beam"), FLOW)
+        assert isinstance(noise, NoiseBank)
+        assert words == (
+            "noise: shipped, fu-2022, method theory, 35 states (2.5 to 40 m/s, yaw -60 to 60°); "
+            "interpolated, with an error of 0.72 %"
+        )
+
+    @pytest.mark.usefixtures("no_theory")
+    def test_shipped_for_some_of_the_beams(self):
+        noise, _ = noise_for_records(self.records([4.0, 9.0], [0.0, 5.0]), load_scan("6-beam").select([4, 1]), FLOW)
+        assert noise.beam.tolist() == [4, 1]
+
+    def test_shipped_is_close_to_theory_and_apart_from_boxes(self):
+        scan = load_scan("pulsed-4-beam")
+        bank = find_shipped_noise(scan, FLOW, method="theory")
+        truth = theory_noise(scan, FLOW, wind_speed=7.7, yaw=0.41)
+        error = relative_distance(bank.for_records([7.7], [0.41]).covariance[0], truth.covariance)
+        assert error < 1.2 * bank.interpolation_error
+        assert find_shipped_noise(scan, FLOW, method="boxes").models[0].method == "boxes"
+        assert find_shipped_noise(load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0), FLOW) is None
+        with pytest.raises(InputError, match="Unknown method of shipped noise 'lines'"):
+            find_shipped_noise(scan, FLOW, method="lines")
+
+    def test_records_beyond_the_shipped_bank_get_their_own(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
+        noise, words = noise_for_records(self.records([0.2, 9.0, 30.0], [-70.0, 0.0, 5.0]), load_scan("staring"), FLOW)
+        assert np.rad2deg(noise.yaw.min()) == pytest.approx(-80.0)
+        assert noise.wind_speed.min() == 0.625
+        assert "noise: calculated, fu-2022, method theory, " in words
+        assert words.endswith("; 1 of 3 records are outside and use its edge")
+
+    def test_one_state_is_calculated_alone(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
+        noise, words = noise_for_records(self.records([8.3, 8.3], [4.0, 4.0]), load_scan("2-beam"), FLOW)
+        assert isinstance(noise, NoiseModel)
+        assert noise.wind_speed == 8.3
+        assert words == "noise: calculated, fu-2022, method theory, 1 state (8.3 m/s, yaw 4°)"
+
+    def test_another_turbulence(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
+        flow = MannTurbulence(dissipation=0.05, length_scale=30.0, gamma=2.5, name="mine")
+        noise, words = noise_for_records(self.records([8.0, 9.0], [0.0, 5.0]), load_scan("2-beam"), flow)
+        assert "calculated, mine" in words
+        assert {model.turbulence.length_scale for model in noise.models} == {30.0}
+        assert noise.interpolation_error <= 0.01
+
+
+class TestInterpolation:
+    def test_weights_sum_to_one_and_repeat_cubics(self):
+        rng = np.random.default_rng(1)
+        axis = np.sort(rng.normal(size=7))
+        net = find_net(axis[:, None])
+        at = np.linspace(axis[0], axis[-1], 31)[:, None]
+        weights, inside = net.weights(at)
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(weights @ axis**3, at[:, 0] ** 3, atol=1e-11)
+        np.testing.assert_array_equal(inside, at)
+
+    def test_continuous_across_the_nodes(self):
+        net = find_net(np.arange(6.0)[:, None])
+        values = np.random.default_rng(3).normal(size=6)
+        for node in range(1, 5):
+            below, above = (combine(net.weights([[node + step]])[0], values) for step in (-1e-9, 1e-9))
+            np.testing.assert_allclose(below, above, atol=1e-7)
+
+    def test_two_axes_in_any_order(self):
+        states = np.array([(a, b) for a in (0.0, 1.0, 3.0) for b in (-1.0, 2.0)])[
+            np.random.default_rng(4).permutation(6)
+        ]
+        weights, _ = find_net(states).weights([[0.7, 0.5]])
+        np.testing.assert_allclose(weights @ (states[:, 0] ** 2 * states[:, 1]), 0.7**2 * 0.5, rtol=1e-12)
+
+    @pytest.mark.parametrize("states", [[[1.0, 2.0]], [[1.0, 2.0], [1.0, 2.0]], [[0.0, 0.0], [1.0, 1.0]]])
+    def test_no_net(self, states):
+        assert find_net(states) is None
+
+    def test_nearest_semidefinite_is_no_farther_from_any_semidefinite_matrix(self):
+        rng = np.random.default_rng(6)
+        for _ in range(50):
+            root = rng.normal(size=(6, rng.integers(1, 7)))
+            truth, off = root @ root.T, rng.normal(size=(6, 6))
+            guess = truth + 0.3 * (off + off.T)
+            nearest, below = nearest_semidefinite(guess[None])
+            assert np.linalg.norm(nearest[0] - truth) <= np.linalg.norm(guess - truth) * (1.0 + 1e-12)
+            assert np.linalg.eigvalsh(nearest[0])[0] > -1e-13
+            assert (below[0] > 0.0) == (np.linalg.eigvalsh(guess)[0] < 0.0)
+
+    def test_variances_of_zero_are_no_error(self):
+        covariance = np.array([[[0.0, 0.0], [0.0, 1.0]], [[0.0, 0.0], [0.0, 2.0]]])
+        between, _ = interpolate_covariance(covariance, np.array([[0.5, 0.5]]))
+        np.testing.assert_allclose(between[0], [[0.0, 0.0], [0.0, np.sqrt(2.0)]], atol=1e-300)
+
+
+class TestFit:
+    """What `fit` makes of a bank."""
+
+    @pytest.fixture
+    def scene(self):
+        from scenes import records_of  # noqa: PLC0415
+
+        scan = load_scan("2-beam")
+        bank = theory_bank(scan, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], cache=False)
+        records = records_of(np.random.default_rng(1).uniform(0.8, 1.2, (4, 2)), scan)
+        records["wind_speed"][:] = [6.0, 7.7, 15.0, 31.0]
+        records["yaw"][:] = [3.0, -12.0, 0.0, 5.0]
+        return scan, bank, records
+
+    def test_a_record_has_the_same_posterior_alone_and_in_company(self, scene):
+        scan, bank, records = scene
+        together = fit(records, scan, noise=bank, seed=3, target_ess=100)
+        alone = fit(records.isel(record=[1]), scan, noise=bank, seed=3, target_ess=100)
+        for name in ("posterior/stress", "posterior_predictive/variance"):
+            np.testing.assert_array_equal(alone[name].values[:, :, 0], together[name].values[:, :, 1])
+
+    def test_noise_between_the_states_is_that_of_theory_there(self, scene):
+        scan, bank, records = scene
+        one = records.isel(record=[1])
+        exact = theory_noise(scan, FLOW, wind_speed=7.7, yaw=np.deg2rad(-12.0))
+        spread = [
+            fit(one, scan, noise=noise, seed=3, target_ess=2000)["posterior/stress"].std(("chain", "draw")).values
+            for noise in (bank, exact)
+        ]
+        np.testing.assert_allclose(spread[0], spread[1], rtol=0.02)  # 1 % of K, half of it in a standard deviation
+
+    def test_records_outside_are_counted(self, scene):
+        scan, bank, records = scene
+        assert bank.wind_speed.max() == 20.0
+        result = fit(records, scan, noise=bank, seed=3, target_ess=100)
+        assert result.attrs["n_outside_noise"] == 1
+
+    def test_chunks_do_not_change_anything(self, scene, monkeypatch):
+        scan, bank, records = scene
+        whole = fit(records, scan, noise=bank, seed=3, target_ess=100)["posterior/stress"]
+        monkeypatch.setattr(fitting, "_CHUNK_NUMBERS", 8)  # two records of two beams
+        np.testing.assert_array_equal(fit(records, scan, noise=bank, seed=3, target_ess=100)["posterior/stress"], whole)
+
+    def test_records_with_a_turbulence_of_their_own(self):
+        from scenes import records_of  # noqa: PLC0415
+
+        scan = load_scan("staring")
+        models = [
+            replace(theory_noise(scan, FLOW, wind_speed=9.0), turbulence=replace(FLOW, length_scale=scale))
+            for scale in (30.0, 120.0)
+        ]
+        models[1] = replace(models[1], covariance=4.0 * models[0].covariance)
+        records = records_of(np.ones((2, 1)), scan)
+        records["wind_speed"][:] = 9.0
+        bank = NoiseBank(tuple(models))
+        with pytest.raises(InputError, match="spans length_scale 30 to 120"):
+            fit(records, scan, noise=bank, seed=1)
+        records["length_scale"] = ("record", [30.0, 120.0])
+        sd = fit(records, scan, noise=bank, seed=1)["posterior/stress"].sel(component="uu").std(("chain", "draw"))
+        assert float(sd[1] / sd[0]) > 1.5
