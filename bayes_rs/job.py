@@ -23,7 +23,7 @@ from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
-from bayes_rs.summarizing import summary
+from bayes_rs.summarizing import check_summary_options, summary
 
 POSTERIOR_FILE = "posterior.nc"
 FAILURES = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["short_chain"] | FLAGS["ensembles_differ"]
@@ -115,6 +115,7 @@ def run_fit(
     """
     from bayes_rs.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
 
+    check_summary_options(prob, derived)
     with output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
         noise = _noise(records, scan, noise_file, turbulence, noise_method, say)
