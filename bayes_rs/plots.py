@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -98,7 +99,10 @@ def plot_corner(
     InputError
         If the record does not exist or was not fitted, or an array has the wrong shape.
     """
-    import corner  # noqa: PLC0415 - loading it takes longer than most commands
+    with warnings.catch_warnings():
+        # corner imports ArviZ, which announces its next version on stderr now and then
+        warnings.filterwarnings("ignore", message="\\s*ArviZ is undergoing", category=FutureWarning)
+        import corner  # noqa: PLC0415 - loading it takes longer than most commands
 
     index = find_record(result, record)
     posterior, prior = _draws(result, index)
