@@ -92,10 +92,12 @@ def run_fit(
         Turbulence of the noise, if no file is given.
     noise_method : str
         ``"theory"`` or ``"boxes"``, if no file is given.
-    prior, target, target_ess, instrument_noise, seed
+    prior, target, target_ess, instrument_noise
         As for `fit`.
     prob, derived
         As for `summary`.
+    seed : int
+        Seed of the fit.
     overwrite : bool
         Replace the folder of an earlier run.
     say : callable
@@ -172,6 +174,16 @@ def run_fit(
 
 def open_result(folder: str | Path) -> xr.DataTree:
     """Read the result from the folder that `run_fit` wrote.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Output folder of a fit.
+
+    Returns
+    -------
+    result : DataTree
+        As `fit` returned it, in memory; the file is closed.
 
     Raises
     ------
