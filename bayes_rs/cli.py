@@ -26,14 +26,17 @@ def main() -> None:
     from bayes_rs.errors import InputError, MissingExtraError  # noqa: PLC0415 - help must not wait for numpy
 
     try:
-        code = commands.main(standalone_mode=False)
-    except click.ClickException as error:
+        code = commands.main(prog_name="bayes-rs", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         code = error.exit_code
+    except click.ClickException as error:
+        click.echo(f"bayes-rs: {error.format_message()}", err=True)
+        code = EXIT_BAD_INPUT
     except click.Abort:
-        click.echo("Interrupted.", err=True)
+        click.echo("bayes-rs: interrupted.", err=True)
         code = 130
-    except (InputError, MissingExtraError) as error:
+    except (InputError, MissingExtraError, OSError) as error:
         click.echo(f"bayes-rs: {error}", err=True)
         for note in getattr(error, "__notes__", []):
             click.echo(f"bayes-rs: {note}", err=True)
@@ -48,11 +51,15 @@ def commands() -> None:
 
 
 def _scan_options(command: _Command) -> _Command:
+    named = click.option(
+        "--scan", "scan_name", required=True, help="A name that `bayes-rs scans` lists, or a TOML file."
+    )
+    return named(_mounting_options(command))
+
+
+def _mounting_options(command: _Command) -> _Command:
     for option in reversed(
         [
-            click.option(
-                "--scan", "scan_name", required=True, help="A name that `bayes-rs scans` lists, or a TOML file."
-            ),
             click.option(
                 "--opening-angle", "opening_angle_deg", type=float, help="Another half-cone opening angle, degrees."
             ),
@@ -176,7 +183,8 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
 
 
 @commands.command()
-@_scan_options
+@click.argument("scan")
+@_mounting_options
 @click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
 @click.option(
     "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
@@ -194,6 +202,7 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def calibrate(
+    scan: str,
     turbulence: str,
     wind_speed: tuple[float, ...],
     noise_yaw: tuple[float, ...],
@@ -208,18 +217,20 @@ def calibrate(
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
     from bayes_rs.calibration import calibrate as run_calibration  # noqa: PLC0415
     from bayes_rs.mann import load_turbulence  # noqa: PLC0415
+    from bayes_rs.output import output_file  # noqa: PLC0415
 
-    noise = run_calibration(
-        _load_scan(scan_options),
-        load_turbulence(turbulence),
-        wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
-        yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
-        duration=duration,
-        method=method,
-        n_boxes=n_boxes,
-        seed=seed,
-    )
-    noise.save(output, overwrite=overwrite)
+    with output_file(output, overwrite=overwrite) as part:
+        noise = run_calibration(
+            _load_scan({"scan_name": scan, **scan_options}),
+            load_turbulence(turbulence),
+            wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
+            yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
+            duration=duration,
+            method=method,
+            n_boxes=n_boxes,
+            seed=seed,
+        )
+        noise.save(part)
     for line in _noise_lines(noise):
         click.echo(line)
     click.echo(f"noise in {output}")
@@ -259,7 +270,9 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
     FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
     """
     from bayes_rs.job import run_fit  # noqa: PLC0415
+    from bayes_rs.output import check_output_folder  # noqa: PLC0415
 
+    check_output_folder(output, overwrite=overwrite)
     made, scan = _make_records(files, options)
     outcome = run_fit(
         made,

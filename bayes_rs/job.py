@@ -23,7 +23,7 @@ from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
-from bayes_rs.summarizing import summary
+from bayes_rs.summarizing import check_summary_options, summary
 
 POSTERIOR_FILE = "posterior.nc"
 FAILURES = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["short_chain"] | FLAGS["ensembles_differ"]
@@ -92,10 +92,12 @@ def run_fit(
         Turbulence of the noise, if no file is given.
     noise_method : str
         ``"theory"`` or ``"boxes"``, if no file is given.
-    prior, target, target_ess, instrument_noise, seed
+    prior, target, target_ess, instrument_noise
         As for `fit`.
     prob, derived
         As for `summary`.
+    seed : int
+        Seed of the fit.
     overwrite : bool
         Replace the folder of an earlier run.
     say : callable
@@ -115,6 +117,7 @@ def run_fit(
     """
     from bayes_rs.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
 
+    check_summary_options(prob, derived)
     with output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
         noise = _noise(records, scan, noise_file, turbulence, noise_method, say)
@@ -171,6 +174,16 @@ def run_fit(
 
 def open_result(folder: str | Path) -> xr.DataTree:
     """Read the result from the folder that `run_fit` wrote.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Output folder of a fit.
+
+    Returns
+    -------
+    result : DataTree
+        As `fit` returned it, in memory; the file is closed.
 
     Raises
     ------

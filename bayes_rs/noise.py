@@ -744,7 +744,7 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
         ) from error
     if dataset.attrs.get("kind") != FILE_KIND:
         raise InputError(f"File {str(file)!r} is not a noise file of bayes_rs: make one with calibrate.")
-    version = int(dataset.attrs.get("format_version", 0))
+    version = dataset.attrs.get("format_version", 0)
     if version != FILE_VERSION:
         raise InputError(
             f"Noise file {str(file)!r} has format version {version} and this program reads {FILE_VERSION}: "
@@ -752,10 +752,10 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
         )
     try:
         return _from_dataset(dataset)
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
-        raise InputError(f"Noise file {str(file)!r} is damaged, {error} cannot be read: calibrate again.") from error
     except InputError as error:
         raise InputError(f"Noise file {str(file)!r} is damaged: {error}") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"Noise file {str(file)!r} is damaged, {error} cannot be read: calibrate again.") from error
 
 
 def _from_dataset(dataset: xr.Dataset) -> NoiseModel | NoiseBank:

@@ -39,27 +39,34 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         If the folder exists and may not be replaced, or its parent cannot be written.
     """
     final = Path(path)
-    _check_free(final, overwrite=overwrite)
     try:
+        _check_free(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name}.partial-"))
     except OSError as error:
-        raise InputError(
-            f"Cannot write the output folder {str(final)!r}: {error.strerror or error}; "
-            "give a folder that can be written."
-        ) from error
+        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     try:
         yield part
+        _check_free(final, overwrite=overwrite)  # another run may have ended meanwhile
+        _take_place(part, final)
     except BaseException as error:
+        if not part.exists():
+            raise
         if any(part.iterdir()):
             error.add_note(f"What was finished is kept in {str(part)!r}.")
         else:
             part.rmdir()
         raise
-    part.chmod(0o777 & ~_umask())
-    if final.exists():
-        shutil.rmtree(final)
-    part.replace(final)
+
+
+def _take_place(part: Path, final: Path) -> None:
+    try:
+        part.chmod(0o777 & ~_umask())
+        if final.exists():
+            shutil.rmtree(final)
+        part.replace(final)
+    except OSError as error:
+        raise _cannot_write("the output folder ", final, error, "give another name") from error
 
 
 @contextmanager
@@ -72,20 +79,20 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         If the file exists and may not be replaced, or cannot be written.
     """
     final = Path(path)
-    if final.is_dir():
-        raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
-    if final.exists() and not overwrite:
-        raise InputError(f"File {str(final)!r} exists: give another name, or --overwrite to replace it.")
     try:
+        _check_no_file(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-") as folder:
-            part = Path(folder) / final.name
-            yield part
-            part.replace(final)
+        folder = tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-")
     except OSError as error:
-        raise InputError(
-            f"Cannot write {str(final)!r}: {error.strerror or error}; give a place that can be written."
-        ) from error
+        raise _cannot_write("", final, error, "give a place that can be written") from error
+    with folder as name:
+        part = Path(name) / final.name
+        yield part
+        _check_no_file(final, overwrite=overwrite)
+        try:
+            part.replace(final)
+        except OSError as error:
+            raise _cannot_write("", final, error, "give a place that can be written") from error
 
 
 def write_run(folder: Path, content: dict[str, Any]) -> None:
@@ -95,7 +102,31 @@ def write_run(folder: Path, content: dict[str, Any]) -> None:
     )
 
 
+def _check_no_file(final: Path, *, overwrite: bool) -> None:
+    if final.is_dir():
+        raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
+    if final.exists() and not overwrite:
+        raise InputError(f"File {str(final)!r} exists: give another name, or --overwrite to replace it.")
+
+
+def check_output_folder(path: str | Path, *, overwrite: bool = False) -> None:
+    """Refuse an output folder that `output_folder` would refuse, before any work is done for it.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and may not be replaced.
+    """
+    final = Path(path)
+    try:
+        _check_free(final, overwrite=overwrite)
+    except OSError as error:
+        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
+
+
 def _check_free(final: Path, *, overwrite: bool) -> None:
+    if final.is_symlink():
+        raise InputError(f"Cannot write the output folder {str(final)!r}: it is a link; give the folder itself.")
     if not final.exists():
         return
     if not final.is_dir():
@@ -109,6 +140,10 @@ def _check_free(final: Path, *, overwrite: bool) -> None:
             f"Output folder {str(final)!r} was not made by bayes-rs (it has no {RUN_FILE}), so it is not replaced: "
             "give another name, or remove it yourself."
         )
+
+
+def _cannot_write(what: str, final: Path, error: OSError, advice: str) -> InputError:
+    return InputError(f"Cannot write {what}{str(final)!r}: {error.strerror or error}; {advice}.")
 
 
 def _umask() -> int:

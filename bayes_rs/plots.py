@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
@@ -38,9 +40,10 @@ def find_record(result: xr.DataTree, record: int | str) -> int:
     check_result(result)
     observed = group(result, "observed_data")
     n_record = observed.sizes["record"]
-    if isinstance(record, str) and not record.lstrip("-").isdigit():
+    if isinstance(record, str) and not record.lstrip("-").isdecimal():
         try:
-            wanted = np.datetime64(record, "ns")
+            stamp = pd.Timestamp(record)
+            wanted = (stamp.tz_convert("UTC").tz_localize(None) if stamp.tz else stamp).to_datetime64()
         except ValueError as error:
             raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.") from error
         times = observed.coords["time"].values
@@ -96,7 +99,10 @@ def plot_corner(
     InputError
         If the record does not exist or was not fitted, or an array has the wrong shape.
     """
-    import corner  # noqa: PLC0415 - loading it takes longer than most commands
+    with warnings.catch_warnings():
+        # corner imports ArviZ, which announces its next version on stderr now and then
+        warnings.filterwarnings("ignore", message="\\s*ArviZ is undergoing", category=FutureWarning)
+        import corner  # noqa: PLC0415 - loading it takes longer than most commands
 
     index = find_record(result, record)
     posterior, prior = _draws(result, index)

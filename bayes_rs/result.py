@@ -67,6 +67,16 @@ class RecordDraws:
 def flag_words(flag: int) -> str:
     """Return a record's flag in words, joined by semicolons; empty if nothing is wrong.
 
+    Parameters
+    ----------
+    flag : int
+        Bit mask from ``sample_stats/flag`` of a result.
+
+    Returns
+    -------
+    words : str
+        Names of the bits that are set, as in `FLAGS`.
+
     Examples
     --------
     >>> flag_words(20)

@@ -96,10 +96,7 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     contraction_shape is the same number for the stress divided by the trace uu + vv + ww, from which the size is gone.
     """
     check_result(result)
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    for name in derived:
-        check_choice(name, ("ti", *DERIVED), what="derived quantity")
+    check_summary_options(prob, derived)
     stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
     prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
     observed = group(result, "observed_data")
@@ -132,6 +129,20 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
         }
     )
     return table[list(COLUMNS)]
+
+
+def check_summary_options(prob: float, derived: Sequence[str]) -> None:
+    """Refuse options of `summary` that it cannot take, before any work is done for it.
+
+    Raises
+    ------
+    InputError
+        If prob is not between 0 and 1, or a derived quantity is not known.
+    """
+    if not 0.0 < prob < 1.0:
+        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
+    for name in derived:
+        check_choice(name, ("ti", *DERIVED), what="derived quantity")
 
 
 def _summarize(

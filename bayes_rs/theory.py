@@ -375,10 +375,12 @@ def sonic_moments(
 
     Parameters
     ----------
-    scan, turbulence, wind_speed, duration, yaw, detrend, tolerance
+    scan, turbulence, wind_speed, duration, yaw
         As in `theory_noise`.
     position : array_like, shape (3,)
         Where the sonic is, m from the lidar in the mean-wind frame; at the lidar, the rotor's centre, if not given.
+    detrend, tolerance
+        As in `theory_noise`.
 
     Returns
     -------

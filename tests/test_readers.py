@@ -249,7 +249,8 @@ class TestOrder:
         file = long_csv(tmp_path, "2020-09-03T19:00:05Z,0,1", "2020-09-03T19:00:01Z,1,2", "2020-09-03T19:00:04Z,0,3")
         message = (
             f"Time goes backwards in line 4 of file {str(file)!r}: beam 0 at 2020-09-03T19:00:04Z comes after "
-            "2020-09-03T19:00:05Z (line 2); check the time stamps, or give out_of_order='sort' to sort them."
+            "2020-09-03T19:00:05Z (line 2); check the time stamps, or give out_of_order='sort' "
+            "(--out-of-order sort) to sort them."
         )
         with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
             read_radial_velocity(file, SCAN)
@@ -298,7 +299,7 @@ class TestBadInput:
             ([*ROWS, "2020-09-03T19:00:05Z,7,1"], "Unknown beam '7' in column 'beam', line 5 of"),
             (
                 ["2020-09-03T19:00:05Z,left,1"],
-                "the beams of scan '4-beam', 0, 1, 2, 3; map it with the option beam_num",
+                "the beams of scan '4-beam', 0, 1, 2, 3; map it with beam_num",
             ),
             (["2020-09-03T19:00:05Z,1.5,1"], "Unknown beam '1.5'"),
             ([], "has headings but no row"),
@@ -352,7 +353,7 @@ class TestBadInput:
     @pytest.mark.parametrize("name", ["time", "beam", "radial_velocity"])
     def test_missing_column(self, tmp_path, name):
         file = long_csv(tmp_path, *ROWS, head=HEAD.replace(name, "other"))
-        message = rf"has no column '{name}' for {name}: its columns are .*'other'.*option columns=\{{'{name}': "
+        message = rf"has no column '{name}' for {name}: its columns are .*'other'.*with columns=\{{'{name}': "
         with pytest.raises(InputError, match=message):
             read_radial_velocity(file, SCAN)
 

@@ -126,8 +126,8 @@ def unknown_beam(label: str, where: str, scan: Scan, file_format: FileFormat) ->
     used = f" by beam_numbers={dict(file_format.beam_numbers)}" if file_format.beam_numbers else ""
     return InputError(
         f"Unknown beam {label!r} in {where}: it is not{used} one of the beams of scan {scan.name!r}, "
-        f"{_shortened(scan.beam.tolist())}; map it with the option beam_numbers={{{label!r}: number}}, "
-        "or give the scan that the file was measured with."
+        f"{_shortened(scan.beam.tolist())}; map it with beam_numbers={{{label!r}: number}} "
+        f"(--beam-number {label}=NUMBER), or give the scan that the file was measured with."
     )
 
 

@@ -135,7 +135,7 @@ def _count_backwards(part: Samples) -> int:
         raise InputError(
             f"Time goes backwards in {part.where(index)}: beam {part.beam[index]} at {_utc(part.time[index])} comes "
             f"after {_utc(part.time[before])} ({part.row_word} {part.row[before]}); check the time stamps, "
-            "or give out_of_order='sort' to sort them."
+            "or give out_of_order='sort' (--out-of-order sort) to sort them."
         )
     return int(backwards.sum())
 
@@ -158,7 +158,7 @@ def _one_status(parts: Sequence[Samples]) -> float | None:
     if len(valid) > 1:
         raise InputError(
             f"The files count different statuses as valid, {', '.join(sorted(map(str, valid)))}: "
-            "give one with the option status_valid, or read them one by one."
+            "give one with the option status_valid (--status-valid), or read them one by one."
         )
     return valid.pop()
 
@@ -171,7 +171,8 @@ def _two_values(parts: Sequence[Samples], first: int, second: int) -> InputError
     return InputError(
         f"Two samples of beam {parts[one].beam[a]} at {_utc(parts[one].time[a])} differ: "
         f"{parts[one].radial_velocity[a]:g} m/s in {parts[one].where(a)} and {parts[two].radial_velocity[b]:g} m/s in "
-        f"{parts[two].where(b)}; give time stamps that tell samples apart, or out_of_order='sort' to keep the first."
+        f"{parts[two].where(b)}; give time stamps that tell samples apart, "
+        "or out_of_order='sort' (--out-of-order sort) to keep the first."
     )
 
 

@@ -75,7 +75,7 @@ class Table:
         heading = self.file_format.column(name)
         return InputError(
             f"File {str(self.file)!r} has no column {heading!r} for {name}: {self.found()}; "
-            f"say what the file calls it with the option columns={{{name!r}: 'heading in the file'}}."
+            f"say what the file calls it with columns={{{name!r}: 'its heading'}} (--column {name}=HEADING)."
         )
 
     def found(self) -> str:

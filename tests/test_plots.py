@@ -1,0 +1,248 @@
+"""Figures: what is in them, which record they show, and that they can be saved."""
+
+import matplotlib.dates as mdates
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from scenes import draw_variances, plain_noise, records_of
+
+from bayes_rs import STRESSES, InputError, fit, load_scan, plot_corner, plot_stresses
+from bayes_rs.plots import (
+    POSTERIOR_COLOUR,
+    PRIOR_COLOUR,
+    TRUTH_COLOUR,
+    corner_limits,
+    default_limits,
+    find_record,
+    prior_at_size,
+)
+
+TRUTH = np.array([1.0, 0.6, 0.4, 0.1, -0.2, 0.05])
+
+
+def fitted(n_record, *, broken=()):
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    rng = np.random.default_rng(41)
+    records = records_of(draw_variances(np.tile(TRUTH, (n_record, 1)), scan, noise, rng), scan)
+    for record in broken:
+        records["flag"][record] = 1
+    return fit(records, scan, noise=noise, seed=1, target_ess=200)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return fitted(4, broken=[2])
+
+
+@pytest.fixture(scope="module")
+def corner(result):
+    return plot_corner(result, 1, truth=TRUTH)
+
+
+@pytest.fixture(scope="module")
+def figure(result):
+    return plot_stresses(result)
+
+
+def saved(figure, path):
+    """Save, read back as an array (rows, columns, 3)."""
+    figure.savefig(path, dpi=90)
+    return matplotlib.image.imread(path)[..., :3]
+
+
+def is_a_picture(image):
+    """More than paper: a good many pixels of each of several colours."""
+    pixels = (255.0 * image).astype(int).reshape(-1, 3)
+    _, count = np.unique(pixels, axis=0, return_counts=True)
+    return min(image.shape[:2]) > 400 and np.count_nonzero(count > 20) > 5
+
+
+def has_colour(image, colour):
+    wanted = np.array(matplotlib.colors.to_rgb(colour))
+    return np.count_nonzero(np.abs(image - wanted).max(axis=-1) < 0.04) > 20
+
+
+class TestFindingRecords:
+    def test_by_number_and_by_its_text(self, result):
+        assert [find_record(result, record) for record in (0, 3, "1", np.int64(3))] == [0, 3, 1, 3]
+
+    def test_by_time(self, result):
+        assert find_record(result, "2020-01-01T00:10") == 1
+        assert find_record(result, "2020-01-01T00:30:00") == 3
+        assert find_record(result, "2020-01-01") == 0
+
+    @pytest.mark.parametrize("record", [4, "4", -1, "-1"])
+    def test_a_number_that_is_not_there(self, result, record):
+        with pytest.raises(InputError, match=rf"No record {record}: there are 4, numbered from 0\."):
+            find_record(result, record)
+
+    def test_a_time_at_which_none_starts(self, result):
+        message = r"No record starts at 2020-01-01T00:05: the records start from 2020-01-01T00:00:.* to 2020-01-01T00:3"
+        with pytest.raises(InputError, match=message):
+            find_record(result, "2020-01-01T00:05")
+
+    @pytest.mark.parametrize("record", ["noon", "1.5", "2020-13-01"])
+    def test_what_is_neither_number_nor_time(self, result, record):
+        with pytest.raises(InputError, match=rf"Invalid record '{record}': give a number or a time such as 2020"):
+            find_record(result, record)
+
+    def test_a_record_that_was_not_fitted(self, result):
+        for record in (2, "2020-01-01T00:20"):
+            with pytest.raises(InputError, match=r"Record 2 was not fitted \(no_usable_beam\): choose another one"):
+                plot_corner(result, record)
+
+    def test_a_time_in_utc_by_its_letter(self, result):
+        assert find_record(result, "2020-01-01T00:10Z") == 1
+
+
+class TestCorner:
+    def test_every_pair_of_stresses_has_its_panel(self, corner):
+        assert len(corner.axes) == 36
+        framed = np.array([axis.get_frame_on() for axis in corner.axes]).reshape(6, 6)
+        np.testing.assert_array_equal(framed, np.tri(6, dtype=bool))
+
+    def test_panels_are_named_in_the_order_of_the_stresses(self, corner):
+        axes = np.array(corner.axes).reshape(6, 6)
+        assert [axis.get_xlabel().split()[0] for axis in axes[-1]] == list(STRESSES)
+        assert [axis.get_ylabel().split()[0] for axis in axes[1:, 0]] == list(STRESSES[1:])
+        assert all("[m² s⁻²]" in axis.get_xlabel() for axis in axes[-1])
+
+    def test_titles_give_median_and_interval(self, result, corner):
+        draws = result["posterior/stress"].sel(record=1)
+        for axis, name in zip(np.array(corner.axes).reshape(6, 6).diagonal(), STRESSES, strict=True):
+            low, middle, high = np.quantile(draws.sel(component=name), [0.05, 0.5, 0.95])
+            assert axis.get_title() == f"{name} = {middle:.2f} ({low:.2f} to {high:.2f})"
+
+    def test_truth_is_marked_in_every_panel_and_in_the_legend(self, result, corner):
+        axes = np.array(corner.axes).reshape(6, 6)
+        for index in range(6):
+            marks = [line for line in axes[index, index].lines if to_hex(line.get_color()) == TRUTH_COLOUR]
+            assert [set(line.get_xdata()) for line in marks] == [{TRUTH[index]}]
+        points = [line.get_xydata()[0] for line in axes[4, 0].lines if line.get_marker() == "s"]
+        np.testing.assert_array_equal(points, [[TRUTH[0], TRUTH[4]]])
+        words = [text.get_text() for text in corner.legends[0].get_texts()]
+        assert "truth" in words
+        without = plot_corner(result, 1)
+        assert "truth" not in [text.get_text() for text in without.legends[0].get_texts()]
+        assert not any(to_hex(line.get_color()) == TRUTH_COLOUR for axis in without.axes for line in axis.lines)
+
+    def test_limits_are_obeyed(self, result):
+        limits = np.stack([[0.0, 0.1, 0.0, -1.0, -1.5, -0.5], [3.0, 2.0, 1.5, 1.0, 0.5, 0.7]], axis=1)
+        axes = np.array(plot_corner(result, 0, limits=limits).axes).reshape(6, 6)
+        for row in range(6):
+            for column in range(row + 1):
+                assert axes[row, column].get_xlim() == pytest.approx(tuple(limits[column]))
+                if column < row:
+                    assert axes[row, column].get_ylim() == pytest.approx(tuple(limits[row]))
+
+    def test_title_says_scan_record_start_and_prior(self, result, corner):
+        assert corner.get_suptitle() == "6-beam, record 1, 2020-01-01T00:10 UTC, prior weak"
+        assert plot_corner(result, 0, title="mine").get_suptitle() == "mine"
+
+    def test_it_can_be_drawn_into_a_part_of_a_figure(self, result):
+        figure = Figure(figsize=(8.0, 4.0))
+        left, right = figure.subfigures(1, 2)
+        assert plot_corner(result, 0, figure=left) is left
+        assert (len(left.axes), len(right.axes)) == (36, 0)
+
+    def test_saved_it_is_a_picture_of_posterior_prior_and_truth(self, corner, tmp_path):
+        image = saved(corner, tmp_path / "corner.png")
+        assert is_a_picture(image)
+        for colour in (POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR):
+            assert has_colour(image, colour)
+
+    def test_bad_arrays_are_refused(self, result):
+        with pytest.raises(InputError, match=r"Invalid truth of shape \(3,\): the shape must be \(6\)"):
+            plot_corner(result, 0, truth=[1.0, 0.5, 0.3])
+        with pytest.raises(InputError, match=r"Invalid limits of shape \(6,\): the shape must be \(6, 2\)"):
+            plot_corner(result, 0, limits=np.ones(6))
+
+
+class TestLimits:
+    def test_they_hold_the_central_99_percent_and_zero_for_variances(self):
+        sample = np.linspace(1.0, 2.0, 1001)[:, None] * np.array([1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
+        limits = default_limits([sample, sample + 1.0])
+        np.testing.assert_allclose(limits[:, 1], [2.995, 2.995, 2.995, 2.995, -0.005, 2.995], atol=1e-12)
+        np.testing.assert_allclose(limits[:, 0], [0.0, 0.0, 0.0, 1.005, -1.995, 1.005], atol=1e-12)
+
+    def test_several_plots_get_limits_that_hold_each(self, result):
+        both = corner_limits([result, result], [0, 3])
+        for record in (0, 3):
+            one = corner_limits([result], [record])
+            assert np.all(both[:, 0] <= one[:, 0])
+            assert np.all(both[:, 1] >= one[:, 1])
+
+    def test_prior_is_drawn_at_the_size_of_the_posterior(self, result):
+        """Its trace has the posterior's distribution, its shape the prior's."""
+        drawn = prior_at_size(result, 3)
+        trace = result["posterior/stress"].sel(record=3, component=["uu", "vv", "ww"]).sum("component").values.ravel()
+        assert set(np.round(drawn[:, :3].sum(axis=1), 9)) <= set(np.round(trace, 9))
+        prior = result["prior/stress"].values.reshape(-1, 6)
+        shapes = [R / R[:, :3].sum(axis=1, keepdims=True) for R in (drawn, prior)]
+        np.testing.assert_allclose(*shapes, rtol=1e-12)
+
+
+class TestStresses:
+    def test_each_stress_has_its_panel(self, figure):
+        assert [axis.get_ylabel().split()[0] for axis in figure.axes] == list(STRESSES)
+
+    def test_medians_are_those_of_the_draws_at_the_start_of_the_record(self, result, figure):
+        for axis, name in zip(figure.axes, STRESSES, strict=True):
+            line = axis.lines[0]
+            assert to_hex(line.get_color()) == POSTERIOR_COLOUR
+            expected = result["posterior/stress"].sel(component=name).median(("chain", "draw"))
+            np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-12)
+            np.testing.assert_array_equal(line.get_xdata(), result["posterior"].coords["time"])
+
+    def test_bands_hold_what_they_say(self, result):
+        axis = plot_stresses(result, prob=0.8).axes[0]
+        draws = result["posterior/stress"].sel(component="uu", record=[0, 1])
+        for band, levels in zip(axis.collections, [(0.1, 0.9), (0.25, 0.75)], strict=True):
+            heights = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
+            for level in levels:
+                for value in draws.quantile(level, ("chain", "draw")).values:
+                    assert np.min(np.abs(heights - value)) < 1e-9
+
+    def test_flagged_records_are_marked(self, result, figure):
+        for axis in figure.axes:
+            (marks,) = [line for line in axis.lines if line.get_marker() == "|"]
+            np.testing.assert_array_equal(marks.get_xdata(), result["posterior"].coords["time"][[2]])
+        assert "flagged record" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+    def test_nothing_is_marked_where_nothing_is_flagged(self):
+        figure = plot_stresses(fitted(2))
+        assert not any(line.get_marker() == "|" for axis in figure.axes for line in axis.lines)
+        assert "flagged record" not in [text.get_text() for text in figure.legends[0].get_texts()]
+
+    def test_saved_it_is_a_picture_with_its_mark(self, figure, tmp_path):
+        image = saved(figure, tmp_path / "stresses.png")
+        assert is_a_picture(image)
+        assert has_colour(image, POSTERIOR_COLOUR)
+
+    def test_one_record_is_a_point_with_bars(self, tmp_path):
+        figure = plot_stresses(fitted(1))
+        assert [len(axis.containers) for axis in figure.axes] == [1] * 6
+        assert is_a_picture(saved(figure, tmp_path / "one.png"))
+
+    def test_no_fitted_record_is_a_figure_too(self, tmp_path):
+        figure = plot_stresses(fitted(2, broken=[0, 1]))
+        assert min(saved(figure, tmp_path / "none.png").shape[:2]) > 400
+
+    def test_without_times_the_records_are_numbered(self, result):
+        tree = result.copy()
+        for name in ("posterior", "observed_data"):
+            tree[name] = tree[name].to_dataset().drop_vars("time")
+        axis = plot_stresses(tree).axes[-1]
+        assert axis.get_xlabel() == "record"
+        assert axis.lines[0].get_xdata().tolist() == [0, 1, 2, 3]
+        assert isinstance(plot_stresses(result).axes[-1].xaxis.get_major_formatter(), mdates.ConciseDateFormatter)
+
+    def test_title_says_what_the_scan_sees(self, figure):
+        assert figure.get_suptitle() == "6-beam: sees all six stresses; prior weak"
+
+    def test_prob_that_is_no_probability(self, result):
+        with pytest.raises(InputError, match=r"Invalid prob 90: it must be between 0 and 1"):
+            plot_stresses(result, prob=90)

@@ -1,0 +1,204 @@
+"""The result: its layout, its file, ArviZ, and what is not a result."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from scenes import draw_variances, plain_noise, records_of
+
+from bayes_rs import STRESSES, InputError, WeakPrior, fit, flag_words, load_scan
+from bayes_rs.result import FLAGS, N_PRIOR_DRAW, check_result, group
+
+
+@pytest.fixture(scope="module")
+def arviz():
+    import warnings  # noqa: PLC0415
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
+        import arviz  # noqa: PLC0415
+    return arviz
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Three records: 0 as it should be, 1 without a beam, 2 with one beam fewer."""
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    rng = np.random.default_rng(31)
+    records = records_of(draw_variances(WeakPrior().draw(3, rng), scan, noise, rng), scan, yaw_deg=4.0)
+    records["flag"][1] = 1
+    records["flag"][2, 4] = 2
+    return scan, noise, records
+
+
+@pytest.fixture(scope="module")
+def result(scene):
+    scan, noise, records = scene
+    return fit(records, scan, noise=noise, seed=7, target_ess=200)
+
+
+@pytest.fixture(scope="module")
+def file(result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("result") / "posterior.nc"
+    result.to_netcdf(path, engine="h5netcdf")
+    return path
+
+
+class TestLayout:
+    def test_groups(self, result):
+        assert set(result.children) == {"posterior", "prior", "posterior_predictive", "observed_data", "sample_stats"}
+
+    @pytest.mark.parametrize(
+        ("variable", "dims"),
+        [
+            ("posterior/stress", ("chain", "draw", "record", "component")),
+            ("prior/stress", ("chain", "draw", "component")),
+            ("posterior_predictive/variance", ("chain", "draw", "record", "beam")),
+            ("observed_data/variance", ("record", "beam")),
+            ("observed_data/used", ("record", "beam")),
+            ("observed_data/wind_speed", ("record",)),
+            ("observed_data/yaw", ("record",)),
+            ("sample_stats/ess_bulk", ("record", "component")),
+            ("sample_stats/r_hat", ("record", "component")),
+            ("sample_stats/flag", ("record",)),
+        ],
+    )
+    def test_dims(self, result, variable, dims):
+        assert result[variable].dims == dims
+
+    def test_components_are_the_six_stresses_in_their_order(self, result):
+        for name in ("posterior", "prior", "sample_stats"):
+            assert result[name].coords["component"].values.tolist() == list(STRESSES)
+
+    def test_records_keep_their_start_and_beams_their_number(self, result, scene):
+        _, _, records = scene
+        for name in ("posterior", "posterior_predictive", "observed_data", "sample_stats"):
+            np.testing.assert_array_equal(result[name].coords["time"], records["time"])
+        np.testing.assert_array_equal(result["observed_data"].coords["beam"], records["beam"])
+
+    def test_what_was_observed_is_in_it(self, result, scene):
+        _, _, records = scene
+        for name in ("variance", "wind_speed", "yaw"):
+            np.testing.assert_array_equal(result["observed_data"][name], records[name])
+        assert result["observed_data/used"].values.tolist() == [[1] * 6, [0] * 6, [1, 1, 1, 1, 0, 1]]
+
+    def test_chains_say_which_ensemble_they_belong_to(self, result):
+        ensemble = result["posterior"].coords["ensemble"].values
+        assert np.bincount(ensemble).tolist() == [8, 8, 8, 8]
+        assert np.all(np.diff(ensemble) >= 0)
+
+    def test_predictions_are_missing_where_a_record_does_not_use_the_beam(self, result):
+        missing = result["posterior_predictive/variance"].isnull()
+        used = result["observed_data/used"] == 1
+        assert bool((missing.all(("chain", "draw")) == ~used).all())
+        assert bool((missing.any(("chain", "draw")) == ~used).all())
+
+    def test_draws_of_the_prior_are_enough_for_its_outline(self, result):
+        draws = result["prior/stress"]
+        assert draws.sizes == {"chain": 1, "draw": N_PRIOR_DRAW, "component": 6}
+        # ln uu has mean 0 and standard deviation 2: four standard errors of the mean of 10 000 draws
+        assert float(np.log(draws.sel(component="uu")).mean()) == pytest.approx(0.0, abs=4.0 * 2.0 / 100.0)
+
+    def test_units_are_written(self, result):
+        for name in ("posterior/stress", "prior/stress", "observed_data/variance"):
+            assert result[name].attrs["units"] == "m2 s-2"
+
+    def test_attributes_say_what_was_done(self, result, scene):
+        scan, _, _ = scene
+        wanted = {
+            "target": "record",
+            "sampler": "emcee",
+            "seed": 7,
+            "target_ess": 200,
+            "scan": "6-beam",
+            "scan_key": scan.key,
+            "sight": "sees all six stresses",
+            "prior": WeakPrior().in_words(),
+            "prior_name": "weak",
+        }
+        assert {key: result.attrs[key] for key in wanted} == wanted
+        assert result.attrs["created_by"].startswith("bayes_rs ")
+        noise = json.loads(result.attrs["noise"])
+        assert noise == {
+            "method": "given",
+            "turbulence": "test",
+            "duration": 600.0,
+            "wind_speeds": [10.0],
+            "yaws_deg": [0.0],
+            "n_realizations": None,
+        }
+
+    def test_a_result_with_no_fitted_record_has_the_same_layout(self, scene):
+        scan, noise, records = scene
+        nothing = records.copy(deep=True)
+        nothing["flag"][:] = 1
+        tree = check_result(fit(nothing, scan, noise=noise, seed=1))
+        assert tree["posterior/stress"].dims == ("chain", "draw", "record", "component")
+        assert bool(tree["posterior/stress"].isnull().all())
+        assert tree["sample_stats/flag"].values.tolist() == [FLAGS["no_usable_beam"]] * 3
+
+
+class TestFile:
+    def test_the_file_gives_the_same_result_back(self, result, file):
+        with xr.open_datatree(file, engine="h5netcdf") as back:
+            assert back.load().identical(result)
+
+    def test_group_is_a_dataset_of_one_group(self, result):
+        assert isinstance(group(result, "posterior"), xr.Dataset)
+        assert group(result, "posterior").identical(result["posterior"].to_dataset())
+
+    def test_arviz_opens_the_file_as_it_is(self, result, file, arviz):
+        opened = arviz.from_netcdf(file)
+        assert set(opened.groups()) == set(result.children)
+        xr.testing.assert_equal(opened.posterior["stress"], result["posterior/stress"])
+
+    def test_arviz_summarizes_a_record_to_our_numbers(self, result, file, arviz):
+        opened = arviz.from_netcdf(file)
+        table = arviz.summary(opened.posterior.isel(record=2), round_to="none")
+        assert table.index.tolist() == [f"stress[{name}]" for name in STRESSES]
+        ours = result["sample_stats/ess_bulk"].sel(record=2).values
+        np.testing.assert_allclose(table["ess_bulk"], ours, rtol=1e-10)  # the same algorithm: rounding
+        draws = result["posterior/stress"].sel(record=2)
+        np.testing.assert_allclose(table["mean"], draws.mean(("chain", "draw")), rtol=1e-12)
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("name", ["posterior", "prior", "observed_data", "sample_stats"])
+    def test_a_group_that_is_missing_is_named(self, result, name):
+        tree = xr.DataTree.from_dict({key: node.to_dataset() for key, node in result.children.items() if key != name})
+        variable = {"observed_data": "variance", "sample_stats": "flag"}.get(name, "stress")
+        message = rf"Not a result of bayes_rs: it has no {name}/{variable}; make one with bayes_rs\.fit"
+        with pytest.raises(InputError, match=message):
+            check_result(tree)
+
+    def test_a_variable_that_is_missing_is_named(self, result):
+        tree = result.copy()
+        tree["sample_stats"] = tree["sample_stats"].to_dataset().drop_vars("flag")
+        with pytest.raises(InputError, match="it has no sample_stats/flag"):
+            check_result(tree)
+
+    def test_a_result_passes_as_it_is(self, result):
+        assert check_result(result) is result
+
+
+class TestFlags:
+    def test_flags_are_different_bits(self):
+        bits = list(FLAGS.values())
+        assert sum(bits) == np.bitwise_or.reduce(bits) == 2 ** len(bits) - 1
+
+    def test_nothing_wrong_is_an_empty_text(self):
+        assert flag_words(0) == ""
+
+    @pytest.mark.parametrize("word", list(FLAGS))
+    def test_each_bit_has_its_word(self, word):
+        assert flag_words(FLAGS[word]) == word
+
+    def test_several_are_joined(self):
+        assert flag_words(np.int64(FLAGS["ensembles_differ"] | FLAGS["no_wind"])) == "no_wind;ensembles_differ"
+
+    def test_the_file_says_what_the_bits_mean(self, result):
+        attributes = result["sample_stats/flag"].attrs
+        meanings = dict(zip(attributes["flag_meanings"].split(), attributes["flag_masks"], strict=True))
+        assert meanings == FLAGS

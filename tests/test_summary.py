@@ -1,0 +1,272 @@
+"""The summary: columns, numbers against ArviZ and a slow computation of each record, derived quantities."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scenes import draw_variances, plain_noise, records_of
+
+from bayes_rs import STRESSES, FlatPrior, InputError, WeakPrior, fit, load_scan, summary
+from bayes_rs.forward import design_matrix
+from bayes_rs.result import FLAGS
+from bayes_rs.stress import pack_stress, rotate_stress
+from bayes_rs.summarizing import COLUMNS
+
+DERIVED = ("ti", "tke", "friction_velocity", "anisotropy_2", "anisotropy_3")
+
+
+@pytest.fixture(scope="module")
+def arviz():
+    import warnings  # noqa: PLC0415
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
+        import arviz  # noqa: PLC0415
+    return arviz
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Four records of six beams: 0 and 3 as they should be, 1 without a beam, 2 with one beam fewer."""
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    rng = np.random.default_rng(21)
+    records = records_of(draw_variances(WeakPrior().draw(4, rng), scan, noise, rng), scan)
+    records["wind_speed"][:] = [10.0, 8.0, 12.0, 5.0]
+    records["flag"][1] = 1
+    records["flag"][2, 4] = 2
+    return fit(records, scan, noise=noise, seed=1, target_ess=200)
+
+
+def tree_of(stress, *, wind_speed=10.0):
+    """A result by hand: stress (record, 6), jittered by a millionth because constant chains have no diagnostics."""
+    stress = np.asarray(stress, dtype=float)
+    n_record = len(stress)
+    rng = np.random.default_rng(22)
+    size = 1.0 + 1e-6 * rng.standard_normal((4, 16, n_record, 1))  # of the whole tensor: its shape stays exact
+    groups = {
+        "posterior": {"stress": (("chain", "draw", "record", "component"), size * stress)},
+        "prior": {"stress": (("chain", "draw", "component"), WeakPrior().draw(50, 1)[None])},
+        "observed_data": {
+            "variance": (("record", "beam"), np.ones((n_record, 1))),
+            "wind_speed": ("record", np.full(n_record, wind_speed)),
+        },
+        "sample_stats": {"flag": ("record", np.zeros(n_record, dtype=int))},
+    }
+    coords = {"record": np.arange(n_record)}
+    return xr.DataTree.from_dict(
+        {
+            f"/{name}": xr.Dataset(variables, coords={} if name == "prior" else coords)
+            for name, variables in groups.items()
+        }
+    )
+
+
+def mean_of(stress, name, **options):
+    table = summary(tree_of(stress, **options), derived=[name])
+    return table[table["stress"] == name]["mean"].to_numpy()
+
+
+class TestTable:
+    def test_columns_and_their_order(self, result):
+        expected = (
+            "record time stress mean sd median hdi_low hdi_high prob contraction contraction_shape "
+            "ess_bulk ess_tail r_hat flag"
+        )
+        assert expected.split() == list(COLUMNS)
+        assert list(summary(result).columns) == list(COLUMNS)
+
+    def test_rows_are_records_times_stresses_in_their_order(self, result):
+        table = summary(result, derived=["tke", "ti"])
+        names = [*STRESSES, "tke", "ti"]
+        assert table["stress"].tolist() == names * 4
+        assert table["record"].tolist() == np.repeat(np.arange(4), len(names)).tolist()
+        start = np.datetime64("2020-01-01", "ns") + np.arange(4) * np.timedelta64(600, "s")
+        np.testing.assert_array_equal(table["time"].to_numpy(), np.repeat(start, len(names)))
+
+    def test_flags_are_in_words_on_every_row_of_a_record(self, result):
+        table = summary(result)
+        flags = table.groupby("record")["flag"].agg(lambda words: sorted(set(words)))
+        assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out"], [""]]
+
+    def test_records_that_were_not_fitted_are_rows_of_nan(self, result):
+        table = summary(result, derived=DERIVED)
+        numbers = [name for name in COLUMNS if name not in ("record", "time", "stress", "prob", "flag")]
+        missing = table[numbers].isna().groupby(table["record"]).all().all(axis=1)
+        assert missing.tolist() == [False, True, False, False]
+        stresses = table[table["stress"].isin(STRESSES) & (table["record"] != 1)]
+        assert not stresses[numbers].isna().any(axis=None)
+
+    def test_a_result_without_times_has_no_time(self):
+        assert summary(tree_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]))["time"].isna().all()
+
+    def test_more_records_than_one_batch_come_out_in_order(self):
+        uu = 1.0 + np.arange(300.0)  # the batch is 256
+        table = summary(tree_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])))
+        np.testing.assert_allclose(table[table["stress"] == "uu"]["mean"], uu, rtol=1e-6)  # the jitter's mean
+
+
+class TestNumbers:
+    def test_moments_are_those_of_each_record_on_its_own(self, result):
+        table = summary(result).set_index(["record", "stress"])
+        for record in (0, 2, 3):
+            for name in STRESSES:
+                draws = result["posterior/stress"].sel(record=record, component=name).values.ravel()
+                row = table.loc[(record, name)]
+                assert row["mean"] == pytest.approx(np.mean(draws), rel=1e-12)  # rounding, here and below
+                assert row["sd"] == pytest.approx(np.std(draws, ddof=1), rel=1e-12)
+                assert row["median"] == pytest.approx(np.median(draws), rel=1e-12)
+
+    @pytest.mark.parametrize("prob", [0.5, 0.9, 0.95])
+    def test_intervals_are_those_of_arviz(self, result, arviz, prob):
+        table = summary(result, prob=prob).set_index(["record", "stress"])
+        assert set(table["prob"]) == {prob}
+        for record in (0, 2, 3):
+            for name in STRESSES:
+                draws = result["posterior/stress"].sel(record=record, component=name).values.ravel()
+                row = table.loc[(record, name)]
+                np.testing.assert_allclose(row[["hdi_low", "hdi_high"]].astype(float), arviz.hdi(draws, prob))
+
+    def test_diagnostics_are_those_in_sample_stats(self, result):
+        table = summary(result)
+        for name in ("ess_bulk", "ess_tail", "r_hat"):
+            expected = result["sample_stats"][name].transpose("record", "component").values
+            np.testing.assert_allclose(table[name].to_numpy().reshape(4, 6), expected, rtol=1e-12)
+
+    def test_diagnostics_of_derived_quantities_are_those_of_arviz(self, result, arviz):
+        stress = result["posterior/stress"].sel(record=3)
+        tke = 0.5 * stress.sel(component=["uu", "vv", "ww"]).sum("component").transpose("chain", "draw").values
+        table = summary(result, derived=["tke"]).set_index(["record", "stress"])
+        row = table.loc[(3, "tke")]
+        assert row["mean"] == pytest.approx(tke.mean(), rel=1e-12)
+        assert row["ess_bulk"] == pytest.approx(arviz.ess(tke, method="bulk"), rel=1e-10)
+        assert row["ess_tail"] == pytest.approx(arviz.ess(tke, method="tail", prob=(0.05, 0.95)), rel=1e-10)
+
+    def test_contraction_is_one_minus_the_ratio_of_variances(self, result):
+        table = summary(result).set_index(["record", "stress"])
+        prior = result["prior/stress"].values.reshape(-1, 6)
+        for record in (0, 2, 3):
+            draws = result["posterior/stress"].sel(record=record).transpose(..., "component").values.reshape(-1, 6)
+            shapes = [R / R[:, :3].sum(axis=1)[:, None] for R in (draws, prior)]
+            for index, name in enumerate(STRESSES):
+                row = table.loc[(record, name)]
+                ratio = np.var(draws[:, index]) / np.var(prior[:, index])
+                assert row["contraction"] == pytest.approx(1.0 - ratio, rel=1e-9)
+                ratio = np.var(shapes[0][:, index]) / np.var(shapes[1][:, index])
+                assert row["contraction_shape"] == pytest.approx(1.0 - ratio, rel=1e-9)
+
+
+def staring(prior):
+    """The summary of one record of one beam along the wind, uu known to 3 %."""
+    scan = load_scan("staring")
+    noise = plain_noise(scan, relative_variance=1e-3)
+    result = fit(records_of(np.ones((1, 1)), scan), scan, noise=noise, prior=prior, seed=1, target_ess=4000)
+    return summary(result).set_index("stress")
+
+
+class TestContraction:
+    """What no beam sees comes from the prior: given what is seen, it is as wide as before."""
+
+    def test_shape_is_not_learned_from_one_beam_under_a_scale_free_prior(self):
+        """One beam along the wind sees uu alone; the weak prior's ratios to uu are independent of it."""
+        table = staring("weak")
+        # relative error of a variance (κ − 1)^½/N^½ with N = 4000 and a kurtosis κ below 6: 0.035; four of those
+        np.testing.assert_allclose(table["contraction_shape"], 0.0, atol=0.14)
+        assert table.loc["uu", "contraction"] > 0.99
+
+    def test_unseen_variances_stay_as_wide_as_the_flat_prior(self):
+        """Under the flat prior vv, ww and vw are independent of uu."""
+        table = staring("flat")
+        np.testing.assert_allclose(table.loc[["vv", "ww", "vw"], "contraction"], 0.0, atol=0.14)
+        assert table.loc["uu", "contraction"] > 0.99
+
+    def test_what_is_seen_well_is_learned(self):
+        scan = load_scan("6-beam", opening_angle_deg=45.0)
+        stress = np.array([[1.0, 0.6, 0.4, 0.1, -0.2, 0.05]])
+        result = fit(
+            records_of(stress @ design_matrix(scan).T, scan),
+            scan,
+            noise=plain_noise(scan, relative_variance=1e-4),
+            prior=FlatPrior(bound=5.0),
+            seed=1,
+            target_ess=200,
+        )
+        table = summary(result)
+        # 1 % noise, amplified less than threefold at 45°: a standard deviation below 0.03, the prior's is above 1
+        assert table["contraction"].min() > 0.99
+        assert table["contraction_shape"].min() > 0.9
+
+    def test_turbulence_intensity_has_none(self, result):
+        """The prior says nothing of the wind speed."""
+        table = summary(result, derived=DERIVED)
+        rows = table[table["record"] == 0].set_index("stress")
+        assert np.isnan(rows.loc["ti", "contraction"])
+        assert np.isfinite(rows.loc[list(DERIVED[1:]), "contraction"].astype(float)).all()
+
+
+class TestDerivedQuantities:
+    """Closed forms; tolerance: the hand-made result's jitter of a millionth."""
+
+    SOME = ((1.8, 0.9, 0.5, 0.1, -0.4, 0.3), (4.0, 2.0, 1.0, 0.0, 0.0, 0.0))
+
+    def test_kinetic_energy_is_half_the_trace(self):
+        np.testing.assert_allclose(mean_of(self.SOME, "tke"), [1.6, 3.5], rtol=1e-6)
+
+    def test_friction_velocity_takes_both_components_of_the_stress(self):
+        """u* = ((−0.4)² + 0.3²)^(1/4) = 0.5^(1/2)."""
+        np.testing.assert_allclose(mean_of(self.SOME, "friction_velocity"), [np.sqrt(0.5), 0.0], rtol=1e-6)
+
+    def test_turbulence_intensity_is_sigma_u_over_the_wind_speed(self):
+        np.testing.assert_allclose(mean_of(self.SOME, "ti", wind_speed=8.0), [np.sqrt(1.8) / 8.0, 0.25], rtol=1e-6)
+
+    def test_turbulence_intensity_uses_the_wind_speed_of_its_own_record(self, result):
+        table = summary(result, derived=["ti"])
+        rows = table[table["stress"] == "ti"].set_index("record")["mean"]
+        for record, speed in ((0, 10.0), (2, 12.0), (3, 5.0)):
+            uu = result["posterior/stress"].sel(record=record, component="uu").values
+            assert rows[record] == pytest.approx(np.mean(np.sqrt(uu)) / speed, rel=1e-12)
+
+    @pytest.mark.parametrize(
+        ("eigenvalues", "second", "third"),
+        [
+            ((1.0, 1.0, 1.0), 0.0, 0.0),
+            # shares 1, 0, 0: deviations 2/3, −1/3, −1/3
+            ((1.0, 0.0, 0.0), 4 / 9 + 2 / 9, 8 / 27 - 2 / 27),
+            # shares 1/2, 1/2, 0: deviations 1/6, 1/6, −1/3
+            ((1.0, 1.0, 0.0), 2 / 36 + 1 / 9, 2 / 216 - 1 / 27),
+        ],
+        ids=["isotropic", "one component", "two components"],
+    )
+    def test_invariants_at_the_corners_of_the_realizable_triangle(self, eigenvalues, second, third):
+        """At the corners, and in whatever frame and size the tensor is written."""
+        turn = np.linalg.qr(np.random.default_rng(23).normal(size=(3, 3)))[0]
+        plain = pack_stress(np.diag(eigenvalues))
+        stress = [plain, 2.5 * rotate_stress(plain, turn)]
+        np.testing.assert_allclose(mean_of(stress, "anisotropy_2"), second, atol=1e-12)  # eigenvalues to rounding
+        np.testing.assert_allclose(mean_of(stress, "anisotropy_3"), third, atol=1e-12)
+
+    def test_invariants_are_traces_of_powers_of_the_anisotropy_tensor(self):
+        tensor = np.array([[1.8, 0.1, -0.4], [0.1, 0.9, 0.3], [-0.4, 0.3, 0.5]])
+        b = tensor / np.trace(tensor) - np.eye(3) / 3.0
+        assert mean_of([self.SOME[0]], "anisotropy_2")[0] == pytest.approx(np.trace(b @ b), rel=1e-12)
+        assert mean_of([self.SOME[0]], "anisotropy_3")[0] == pytest.approx(np.trace(b @ b @ b), rel=1e-12)
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("prob", [0.0, 1.0, -0.1, 90.0, float("nan")])
+    def test_prob_that_is_no_probability(self, result, prob):
+        with pytest.raises(InputError, match=rf"Invalid prob {prob}: it must be between 0 and 1\."):
+            summary(result, prob=prob)
+
+    def test_a_derived_quantity_that_is_not_known(self, result):
+        message = r"Unknown derived quantity 'mood': it must be one of ti, tke, friction_velocity, anisotropy_2, anis"
+        with pytest.raises(InputError, match=message):
+            summary(result, derived=["tke", "mood"])
+
+    def test_something_else_than_a_result(self):
+        with pytest.raises(InputError, match="Not a result of bayes_rs: it has no posterior/stress"):
+            summary(xr.DataTree())
+
+
+def test_flags_of_the_test_scene_are_what_the_fit_says(result):
+    expected = [0, FLAGS["no_usable_beam"], FLAGS["beam_left_out"], 0]
+    assert result["sample_stats/flag"].values.tolist() == expected
