@@ -9,13 +9,16 @@ BIN := $(VENV)/bin
 ENV := PYTHONNOUSERSITE=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check notebooks data noise clean
+.PHONY: demo test test-long check notebooks data noise clean
 
 demo: $(VENV)/installed
 	$(ENV) $(BIN)/bayes-rs demo --overwrite
 
 test: $(VENV)/installed-test
 	$(ENV) $(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_OPTIONS)
+
+test-long: $(VENV)/installed-test
+	$(ENV) $(BIN)/python -m pytest -n 2 -m long $(PYTEST_OPTIONS)
 
 check: $(VENV)/installed-check
 	$(BIN)/ruff check .

@@ -57,6 +57,11 @@ def noise_from_boxes(
     check_count(n_boxes, what="n_boxes", minimum=2)
     box_grid = grid_for(list(states), turbulence) if grid is None else grid
     for state in states:
+        if np.any(state.scan.probe_length > 0.0):
+            raise InputError(
+                f"The beams of scan {state.scan.name!r} have a probe volume ({state.scan.probe.kind}), and beams in "
+                'boxes are points: use method="theory", or load the scan with probe="point".'
+            )
         if state.records_in(box_grid) < 1:
             raise InputError(
                 f"A record of {state.duration:g} s at {state.wind_speed:g} m/s does not fit into a box of "

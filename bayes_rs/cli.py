@@ -186,6 +186,33 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
 @click.argument("scan")
 @_mounting_options
 @click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option("--prior", default="weak", show_default=True, help="weak or flat.")
+@click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
+def plan(
+    scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
+) -> None:
+    """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
+    from bayes_rs.mann import load_turbulence  # noqa: PLC0415
+    from bayes_rs.planning import plan as make_plan  # noqa: PLC0415
+
+    made = make_plan(
+        _load_scan({"scan_name": scan, **scan_options}),
+        load_turbulence(turbulence),
+        wind_speed=wind_speed,
+        duration=duration,
+        prior=prior,
+        target_ess=target_ess,
+    )
+    for line in made.lines():
+        click.echo(line)
+
+
+@commands.command()
+@click.argument("scan")
+@_mounting_options
+@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
 @click.option(
     "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
 )

@@ -18,7 +18,8 @@ import xarray as xr
 from bayes_rs._version import __version__
 from bayes_rs.errors import InputError
 from bayes_rs.fitting import fit
-from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_reading import load_noise
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan

@@ -1,9 +1,8 @@
-"""Noise models: bias, gain and relative covariance of the beam variances of a record, and their files."""
+"""Noise models: bias, gain and relative covariance of the beam variances of a record."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,22 +13,17 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_finite, check_positive
-from bayes_rs.errors import InputError, NoiseMismatchError, NotPositiveDefiniteError
+from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.forward import design_matrix
-from bayes_rs.interpolation import StateNet, combine, find_net, interpolate_covariance, nearest_semidefinite
+from bayes_rs.interpolation import StateNet, combine, find_net, interpolate_covariance
 from bayes_rs.mann import MannTurbulence
-from bayes_rs.probe import probe_difference
+from bayes_rs.noise_file import noise_dataset, save_dataset
+from bayes_rs.noise_geometry import check_geometry, check_same_scan, geometry_difference
 from bayes_rs.scan import Scan, yaw_matrix
 from bayes_rs.stress import STRESSES
 
 NOISE_METHODS: tuple[str, ...] = ("boxes", "theory", "given")
 """Where a noise model's numbers can come from."""
-
-FILE_KIND = "bayes_rs noise"
-FILE_VERSION = 1
-
-_GEOMETRY_TOLERANCE = 2e-6
-"""Two scans are the same if directions, distances (m) and times (s) differ by no more than this."""
 
 _EDGE = np.array([np.log(1.05), np.deg2rad(2.5), np.log(1.05), 0.1])
 """Records no farther outside a bank than this in ln U, yaw, ln L and Γ are not counted as outside."""
@@ -156,7 +150,7 @@ class NoiseModel:
         if beam.ndim != 1 or len(beam) == 0:
             raise InputError(f"Invalid beam of shape {beam.shape} in {where}: one number for each beam, at least one.")
         n_beam = len(beam)
-        geometry = _check_geometry(self.scan_geometry, beam, where)
+        geometry = check_geometry(self.scan_geometry, beam, where)
         arrays = {
             "bias": check_array(self.bias, (n_beam,), what=f"bias in {where}"),
             "gain": check_array(self.gain, (n_beam, len(STRESSES)), what=f"gain in {where}"),
@@ -211,7 +205,7 @@ class NoiseModel:
         NoiseMismatchError
             If beams, directions, focus distances or timing differ; the message names the first difference.
         """
-        _check_scan(self, scan)
+        check_same_scan(self.scan_name, self.scan_geometry, scan)
 
     def select(self, beams: ArrayLike) -> NoiseModel:
         """Return the noise of only the beams whose numbers are given, in that order.
@@ -294,7 +288,7 @@ class NoiseModel:
         and the scan's geometry; the turbulence and the record's length are attributes. The file appears complete or
         not at all.
         """
-        _save(self.to_dataset(), path, overwrite=overwrite)
+        save_dataset(self.to_dataset(), path, overwrite=overwrite)
 
 
 class _Place(NamedTuple):
@@ -349,7 +343,7 @@ class NoiseBank:
             raise InputError("A noise bank needs at least one noise model.")
         first = self.models[0]
         for model in self.models[1:]:
-            difference = _geometry_difference(first.scan_geometry, model.scan_geometry)
+            difference = geometry_difference(first.scan_geometry, model.scan_geometry)
             if difference:
                 raise InputError(f"The models of a noise bank must be of one scan: {difference}.")
         object.__setattr__(self, "net", find_net(self._coordinates))
@@ -431,7 +425,7 @@ class NoiseBank:
 
     def check_scan(self, scan: Scan) -> None:
         """Check that the bank was made for this scan; as `NoiseModel.check_scan`."""
-        _check_scan(self.models[0], scan)
+        check_same_scan(self.scan_name, self.scan_geometry, scan)
 
     def select(self, beams: ArrayLike) -> NoiseBank:
         """Return the bank of only the beams whose numbers are given; as `NoiseModel.select`."""
@@ -518,7 +512,7 @@ class NoiseBank:
         if self.net is None:
             state = place.state
             covariance, negative_part = self._stacked("covariance", state), np.zeros(len(state))
-            bias, probe = self._stacked("bias", state), self._probe_change(state)
+            bias, probe = self._stacked("bias", state), self.probe_change(state)
         else:
             weights, _ = self.net.weights(points)
             _, first, state = np.unique(place.used, axis=0, return_index=True, return_inverse=True)
@@ -526,7 +520,7 @@ class NoiseBank:
             own = np.stack([model.covariance for model in self.models])
             covariance, negative_part = (part[state] for part in interpolate_covariance(own, weights[first]))
             bias = combine(weights, np.stack([model.bias for model in self.models]))
-            probe = combine(weights, self._probe_change(np.arange(len(self.models))))
+            probe = combine(weights, self.probe_change(np.arange(len(self.models))))
         direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
         return RecordNoise(
             bias=bias,
@@ -608,7 +602,7 @@ class NoiseBank:
             return np.broadcast_to(only, (len(state), *only.shape))
         return np.stack([getattr(model, name) for model in self.models])[state]
 
-    def _probe_change(self, state: NDArray[np.int64]) -> FloatArray:
+    def probe_change(self, state: NDArray[np.int64]) -> FloatArray:
         """Return what the probe volume adds to the design matrix at states, shape (n, n_beam, 6); zero for points."""
         direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
         change = np.stack([model.gain - design_matrix(direction @ yaw_matrix(model.yaw)) for model in self.models])
@@ -627,59 +621,7 @@ class NoiseBank:
         dataset : xarray.Dataset
             What `save` writes.
         """
-        first, models = self.models[0], self.models
-        details = [dict(model.details) for model in models]
-        shared = {key: value for key, value in details[0].items() if all(d.get(key, _ABSENT) == value for d in details)}
-        own = [json.dumps({k: v for k, v in d.items() if k not in shared}, sort_keys=True) for d in details]
-        pair = ("state", "beam", "other_beam")
-        variables: dict[str, Any] = {
-            "bias": (pair[:2], np.stack([m.bias for m in models]), {"units": "1"}),
-            "gain": (("state", "beam", "stress"), np.stack([m.gain for m in models]), {"units": "1"}),
-            "covariance": (pair, np.stack([m.covariance for m in models]), {"units": "1"}),
-            "n_realizations": ("state", np.array([float(m.n_realizations) for m in models])),
-            "method": ("state", np.array([m.method for m in models], dtype=object)),
-            "details": ("state", np.array(own, dtype=object)),
-        }
-        if all(m.standard_error is not None for m in models):
-            variables["standard_error"] = (pair, np.stack([np.asarray(m.standard_error) for m in models]))
-        if single_precision:
-            row, column = np.triu_indices(self.n_beam)
-            upper = np.stack([m.covariance[row, column] for m in models]).astype(np.float32)
-            change = np.round(self._probe_change(np.arange(len(models))), 8).astype(np.float32)
-            variables["bias"] = (pair[:2], variables["bias"][1].astype(np.float32), {"units": "1"})
-            variables["covariance_upper"] = (("state", "beam_pair"), upper, {"units": "1"})
-            variables["gain_change"] = (("state", "beam", "stress"), change, {"units": "1"})
-            for name in ("covariance", "gain", "standard_error"):
-                variables.pop(name, None)
-        geometry = first.scan_geometry
-        coordinates: dict[str, Any] = {
-            "beam": first.beam,
-            "other_beam": first.beam,
-            "stress": np.array(STRESSES, dtype=object),
-            "wind_speed": ("state", self.wind_speed, {"units": "m s-1"}),
-            "yaw": ("state", self.yaw, {"units": "rad"}),
-            "direction": (("beam", "axis"), np.array(geometry["direction"], dtype=np.float64)),
-            "focus_distance": ("beam", np.array(geometry["focus_distance"], dtype=np.float64), {"units": "m"}),
-            "beam_time": ("beam", np.array(geometry["beam_time"], dtype=np.float64), {"units": "s"}),
-        }
-        if self.n_turbulence > 1:
-            coordinates["length_scale"] = ("state", self.length_scale, {"units": "m"})
-            coordinates["gamma"] = ("state", self.gamma, {"units": "1"})
-        attributes = {
-            "kind": FILE_KIND,
-            "format_version": FILE_VERSION,
-            "scan": first.scan_name,
-            "scan_duration": float(geometry["scan_duration"]),
-            "duration": float(first.duration),
-            "dissipation": first.turbulence.dissipation,
-            "length_scale": first.turbulence.length_scale,
-            "gamma": first.turbulence.gamma,
-            "turbulence": first.turbulence.name,
-            "turbulence_source": first.turbulence.source,
-            "details": json.dumps(shared, sort_keys=True),
-            **({"probe": json.dumps(geometry["probe"], sort_keys=True)} if "probe" in geometry else {}),
-        }
-        return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+        return noise_dataset(self, single_precision=single_precision)
 
     def save(self, path: str | Path, *, overwrite: bool = False, single_precision: bool = False) -> None:
         """Write the bank to one NetCDF file, which `load_noise` reads; as `NoiseModel.save`.
@@ -700,173 +642,15 @@ class NoiseBank:
         InputError
             If the file exists and `overwrite` is false, or the folder cannot be written.
         """
-        _save(self.to_dataset(single_precision=single_precision), path, overwrite=overwrite)
+        save_dataset(self.to_dataset(single_precision=single_precision), path, overwrite=overwrite)
 
 
 Noise: TypeAlias = NoiseModel | NoiseBank
 """What `calibrate` makes, `load_noise` reads and `fit` takes."""
 
-_ABSENT = object()
-
-
-def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
-    """Read a noise model or a noise bank from the NetCDF file that `save` wrote.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    noise : NoiseModel or NoiseBank
-        Whichever the file holds.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is not a noise file that this version can read.
-
-    Examples
-    --------
-    >>> from bayes_rs.models import models_folder
-    >>> load_noise(models_folder("noise") / "6-beam.nc").scan_name
-    '6-beam'
-    """
-    file = Path(path)
-    if not file.is_file():
-        raise InputError(f"No noise file {str(file)!r}: make one with calibrate, or give the path of another.")
-    try:
-        dataset = xr.load_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"File {str(file)!r} cannot be read as NetCDF, it is damaged or of another kind: {error}."
-        ) from error
-    if dataset.attrs.get("kind") != FILE_KIND:
-        raise InputError(f"File {str(file)!r} is not a noise file of bayes_rs: make one with calibrate.")
-    version = dataset.attrs.get("format_version", 0)
-    if version != FILE_VERSION:
-        raise InputError(
-            f"Noise file {str(file)!r} has format version {version} and this program reads {FILE_VERSION}: "
-            "calibrate again."
-        )
-    try:
-        return _from_dataset(dataset)
-    except InputError as error:
-        raise InputError(f"Noise file {str(file)!r} is damaged: {error}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"Noise file {str(file)!r} is damaged, {error} cannot be read: calibrate again.") from error
-
-
-def _from_dataset(dataset: xr.Dataset) -> NoiseModel | NoiseBank:
-    one = "state" not in dataset.dims
-    states = dataset.expand_dims("state") if one else dataset
-    attributes = states.attrs
-    geometry = {
-        "beam": states["beam"].values.tolist(),
-        "direction": _per_beam(states["direction"]).tolist(),
-        "focus_distance": _per_beam(states["focus_distance"]).tolist(),
-        "beam_time": _per_beam(states["beam_time"]).tolist(),
-        "scan_duration": float(attributes["scan_duration"]),
-        **({"probe": json.loads(attributes["probe"])} if "probe" in attributes else {}),
-    }
-    turbulence = MannTurbulence(
-        dissipation=float(attributes["dissipation"]),
-        length_scale=float(attributes["length_scale"]),
-        gamma=float(attributes["gamma"]),
-        name=str(attributes["turbulence"]),
-        source=str(attributes["turbulence_source"]),
-    )
-    shared = json.loads(attributes["details"])
-    gain, covariance = _matrices(states)
-    models = []
-    for index in range(states.sizes["state"]):
-        state = states.isel(state=index)
-        own_scale = float(state["length_scale"]) if "length_scale" in state.coords else turbulence.length_scale
-        own_gamma = float(state["gamma"]) if "gamma" in state.coords else turbulence.gamma
-        models.append(
-            NoiseModel(
-                bias=state["bias"].values,
-                gain=gain[index],
-                covariance=covariance[index],
-                beam=state["beam"].values,
-                scan_name=str(attributes["scan"]),
-                scan_geometry=geometry,
-                wind_speed=float(state["wind_speed"]),
-                yaw=float(state["yaw"]),
-                duration=float(attributes["duration"]),
-                turbulence=replace(turbulence, length_scale=own_scale, gamma=own_gamma),
-                method=str(state["method"].item()),
-                n_realizations=float(state["n_realizations"]),
-                standard_error=state["standard_error"].values if "standard_error" in state else None,
-                details={**shared, **json.loads(str(state["details"].item()))},
-            )
-        )
-    return models[0] if one else NoiseBank(tuple(models))
-
-
-def _matrices(states: xr.Dataset) -> tuple[FloatArray, FloatArray]:
-    """Return gain and covariance of each state, whether written in full or in single precision."""
-    if "covariance_upper" not in states:
-        return states["gain"].values, states["covariance"].values
-    n_beam = states.sizes["beam"]
-    row, column = np.triu_indices(n_beam)
-    covariance = np.empty((states.sizes["state"], n_beam, n_beam))
-    covariance[:, row, column] = covariance[:, column, row] = states["covariance_upper"].values
-    direction, yaw = _per_beam(states["direction"]), np.asarray(states["yaw"].values, dtype=np.float64)
-    gain = design_matrix(direction @ yaw_matrix(yaw)) + states["gain_change"].values
-    return np.asarray(gain, dtype=np.float64), nearest_semidefinite(covariance)[0]
-
-
-def _per_beam(variable: xr.DataArray) -> FloatArray:
-    values = variable.isel(state=0) if "state" in variable.dims else variable
-    return np.asarray(values.values, dtype=np.float64)
-
-
-def _save(dataset: xr.Dataset, path: str | Path, *, overwrite: bool) -> None:
-    file = Path(path)
-    if file.exists() and not overwrite:
-        raise InputError(f"File {str(file)!r} exists: give another name, or overwrite=True to replace it.")
-    try:
-        with tempfile.TemporaryDirectory(dir=file.parent, prefix=f".{file.name}-") as folder:
-            part = Path(folder) / "part.nc"
-            dataset.to_netcdf(part, engine="h5netcdf", encoding=_encoding(dataset))
-            part.replace(file)
-    except OSError as error:
-        raise InputError(
-            f"Cannot write {str(file)!r}: {error.strerror or error}; give a folder that exists and can be written."
-        ) from error
-
-
-def _encoding(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
-    large = [name for name, item in dataset.variables.items() if item.dtype.kind == "f" and item.nbytes > 4096]
-    return {str(name): {"zlib": True, "complevel": 6, "shuffle": True} for name in large}
-
 
 def _flow(turbulence: MannTurbulence) -> tuple[float, float, float]:
     return turbulence.dissipation, turbulence.length_scale, turbulence.gamma
-
-
-def _check_geometry(geometry: Mapping[str, Any], beam: NDArray[np.int64], where: str) -> dict[str, Any]:
-    missing = [
-        key for key in ("beam", "direction", "focus_distance", "beam_time", "scan_duration") if key not in geometry
-    ]
-    if missing:
-        raise InputError(f"Invalid scan_geometry in {where}: {missing[0]!r} is missing; take it from Scan.geometry().")
-    if list(geometry["beam"]) != beam.tolist():
-        raise InputError(
-            f"Invalid beam {beam.tolist()} in {where}: its scan_geometry has the beams {list(geometry['beam'])}."
-        )
-    return {
-        "beam": beam.tolist(),
-        "direction": check_array(geometry["direction"], (len(beam), 3), what=f"direction in {where}").tolist(),
-        "focus_distance": check_array(
-            geometry["focus_distance"], (len(beam),), what=f"focus_distance in {where}"
-        ).tolist(),
-        "beam_time": check_array(geometry["beam_time"], (len(beam),), what=f"beam_time in {where}").tolist(),
-        "scan_duration": float(geometry["scan_duration"]),
-        **({"probe": dict(geometry["probe"])} if geometry.get("probe") else {}),
-    }
 
 
 def _check_covariance(covariance: FloatArray, where: str) -> None:
@@ -885,42 +669,3 @@ def _check_covariance(covariance: FloatArray, where: str) -> None:
             "below zero; check the numbers given.",
             smallest_eigenvalue=float(eigenvalues[0]),
         )
-
-
-def _geometry_difference(noise: Mapping[str, Any], scan: Mapping[str, Any]) -> str:
-    """Say in words what differs first between two geometries, the noise's and a scan's; empty if nothing does."""
-    if list(noise["beam"]) != list(scan["beam"]):
-        return f"the beams are {_short(noise['beam'])} in the noise and {_short(scan['beam'])} in the scan"
-    for key, word, unit in (
-        ("direction", "direction", ""),
-        ("focus_distance", "focus distance", " m"),
-        ("beam_time", "time within the scan", " s"),
-    ):
-        have, want = np.asarray(noise[key]), np.asarray(scan[key])
-        gap = np.abs(have - want).reshape(len(have), -1).max(axis=1)
-        for index in np.flatnonzero(gap > _GEOMETRY_TOLERANCE):
-            return (
-                f"the {word} of beam {noise['beam'][index]} is {_number(have[index])}{unit} in the noise and "
-                f"{_number(want[index])}{unit} in the scan"
-            )
-    if abs(noise["scan_duration"] - scan["scan_duration"]) > _GEOMETRY_TOLERANCE:
-        return f"the scan takes {noise['scan_duration']:g} s in the noise and {scan['scan_duration']:g} s in the scan"
-    return probe_difference(noise.get("probe"), scan.get("probe"))
-
-
-def _check_scan(noise: NoiseModel, scan: Scan) -> None:
-    difference = _geometry_difference(noise.scan_geometry, scan.geometry())
-    if difference:
-        raise NoiseMismatchError(
-            f"The noise of scan {noise.scan_name!r} was not made for scan {scan.name!r}: {difference}. "
-            "Run calibrate for this scan, or select the beams that both have.",
-            difference=difference,
-        )
-
-
-def _short(numbers: list[int]) -> str:
-    return str(list(numbers)) if len(numbers) <= 8 else f"{len(numbers)} from {numbers[0]} to {numbers[-1]}"
-
-
-def _number(value: FloatArray) -> str:
-    return f"{float(value):g}" if value.ndim == 0 else "(" + ", ".join(f"{item:.4f}" for item in value) + ")"

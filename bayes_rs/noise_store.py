@@ -12,7 +12,8 @@ from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.models import models_folder
-from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_reading import load_noise
 from bayes_rs.scan import Scan
 
 _log = logging.getLogger(__name__)

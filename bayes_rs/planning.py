@@ -8,7 +8,8 @@ import numpy as np
 
 from bayes_rs.forward import sight
 from bayes_rs.mann import MannTurbulence
-from bayes_rs.noise import NoiseModel
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_store import find_shipped_noise
 from bayes_rs.prior import Prior, make_prior
 from bayes_rs.sampling import N_CHAIN
 from bayes_rs.scan import Scan
@@ -103,7 +104,7 @@ def plan(
     --------
     >>> from bayes_rs import load_scan, load_turbulence
     >>> made = plan(load_scan("50-beam"), load_turbulence("fu-2022"), wind_speed=10.0)
-    >>> made.steps[2].decision
+    >>> made.steps[4].decision
     '50 variances a record are reduced to 5 numbers'
     """
     chosen = make_prior(prior)
@@ -113,19 +114,41 @@ def plan(
         f"{scan.name} ({scan.n_beam} beams), {duration:g} s at {wind_speed:g} m/s, turbulence {turbulence.name}, "
         f"prior {chosen.name}"
     )
-    return Plan(title, (*_noise_steps(scan, noise), *_data_steps(scan, noise, seen.rank), _sampling(target_ess)), noise)
+    shipped = find_shipped_noise(scan, turbulence, duration=duration)
+    return Plan(
+        title,
+        (*_noise_steps(noise), _bank(shipped), *_data_steps(scan, noise, seen.rank), _sampling(target_ess)),
+        noise,
+    )
 
 
-def _noise_steps(scan: Scan, noise: NoiseModel) -> list[Step]:
+def _noise_steps(noise: NoiseModel) -> list[Step]:
     pairs, unique = noise.details["n_pairs"], noise.details["n_unique_pairs"]
     skipped = f"; {pairs - unique} repeat another pair's separation and directions" if pairs > unique else ""
+    if "probe" not in noise.details:
+        probe = Step("probe volume", "no probe integral", "the scan's beams see points", "none")
+    elif noise.details["probe_as_points"]:
+        probe = Step(
+            "probe volume",
+            "beams are treated as points",
+            f"the probe takes at most {100.0 * noise.details['probe_loss']:.2g} % of a variance",
+            f"{noise.details['probe_error']:.1g} of the largest entry of K",
+        )
+    else:
+        probe = Step(
+            "probe volume",
+            "integrated along every beam",
+            f"the probe takes up to {100.0 * noise.details['probe_loss']:.2g} % of a variance",
+            f"{noise.details['probe_error']:.1g} of the largest entry of K",
+        )
     return [
         Step(
             "noise of the variances",
             "by theory: no box and no line is simulated",
             "frozen Gaussian turbulence has a covariance of variances in closed form (Isserlis), for the record's own "
             "samples",
-            f"every entry of K within {noise.details['covariance_error']:.1g} (K is {noise.covariance.max():.2g} at most)",
+            f"every entry of K within {noise.details['covariance_error']:.1g} "
+            f"(K is {noise.covariance.max():.2g} at most)",
         ),
         Step(
             "pairs of beams",
@@ -133,7 +156,26 @@ def _noise_steps(scan: Scan, noise: NoiseModel) -> list[Step]:
             "pairs with the same separation and the same two directions have the same covariance",
             "equal to the long way, to rounding",
         ),
+        probe,
     ]
+
+
+def _bank(shipped: NoiseModel | NoiseBank | None) -> Step:
+    """Say where the noise of records at other wind speeds and directions comes from."""
+    what = "noise of records at other wind speeds and directions"
+    if isinstance(shipped, NoiseBank) and shipped.interpolation_error is not None:
+        return Step(
+            what,
+            f"interpolated between {len(shipped.models)} shipped states",
+            "the noise is smooth in the wind speed and the direction",
+            f"{100.0 * shipped.interpolation_error:.1f} % of K, measured between the states",
+        )
+    return Step(
+        what,
+        "a bank of states is computed where the records are, and kept in the cache",
+        "none is shipped for this scan, turbulence and record length",
+        "1 % of K between the states, measured when the bank is made",
+    )
 
 
 def _data_steps(scan: Scan, noise: NoiseModel, rank: int) -> list[Step]:

@@ -37,7 +37,7 @@ def main() -> None:
         scan_duration=1.0,
     )
     series = brs.simulate(
-        together, brs.load_turbulence("fu-2022"), wind_speed=WIND_SPEED, n_records=N_RECORD, seed=SEED
+        together, brs.load_turbulence("fu-2022"), wind_speed=WIND_SPEED, n_records=N_RECORD, seed=SEED, method="boxes"
     )
     truth = json.loads(series.attrs["truth"])
     records = brs.make_records(series, together)

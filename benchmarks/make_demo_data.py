@@ -31,7 +31,7 @@ def main() -> None:
         scan_duration=1.0,
     )
     series = brs.simulate(
-        together, brs.load_turbulence("fu-2022"), wind_speed=WIND_SPEED, n_records=N_RECORD, seed=SEED
+        together, brs.load_turbulence("fu-2022"), wind_speed=WIND_SPEED, n_records=N_RECORD, seed=SEED, method="boxes"
     )
     folder.mkdir(exist_ok=True)
     first = 0

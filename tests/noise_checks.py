@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError, NoiseMismatchError
-from bayes_rs.noise import NoiseBank, load_noise
+from bayes_rs.noise import NoiseBank
+from bayes_rs.noise_reading import load_noise
 
 
 def check_noise(noise, scan, folder):

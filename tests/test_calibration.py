@@ -17,8 +17,9 @@ from bayes_rs.calibration import METHODS, calibrate, noise_key
 from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.forward import design_matrix
 from bayes_rs.mann import MannTurbulence
-from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.noise_choice import noise_for_records
+from bayes_rs.noise_reading import load_noise
 from bayes_rs.noise_store import cache_folder, find_shipped_noise
 from bayes_rs.scan import Scan
 from bayes_rs.scan_file import load_scan

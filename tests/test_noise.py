@@ -11,7 +11,8 @@ from bayes_rs.errors import InputError, NoiseMismatchError, NotPositiveDefiniteE
 from bayes_rs.forward import design_matrix
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.models import models_folder
-from bayes_rs.noise import NoiseBank, NoiseModel, load_noise
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.noise_reading import load_noise
 from bayes_rs.scan import Scan
 from bayes_rs.scan_file import load_scan
 

@@ -11,7 +11,7 @@ from bayes_rs.errors import InputError, NoiseMismatchError
 from bayes_rs.forward import design_matrix
 from bayes_rs.isotropic import isotropic_correlation
 from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.noise import load_noise
+from bayes_rs.noise_reading import load_noise
 from bayes_rs.probe import (
     PROBE_ERROR,
     ContinuousWaveProbe,

@@ -8,6 +8,15 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "PulsedProbe",
+    "PointProbe",
+    "ContinuousWaveProbe",
+    "plan",
+    "Step",
+    "Plan",
+    "theory_bank",
+    "LineMaker",
+    "gap_noise",
     "FlatPrior",
     "InputError",
     "MannTurbulence",

@@ -79,9 +79,9 @@ class TestLines:
             ("4-beam", 600.0, N_RECORDS),
             ("6-beam", 600.0, N_RECORDS),
             ("50-beam", 120.0, N_RECORDS),
-            pytest.param("50-beam", 600.0, N_RECORDS, marks=pytest.mark.slow),
-            pytest.param("spinnerlidar", 100.0, N_RECORDS, marks=pytest.mark.slow),
-            pytest.param("spinnerlidar", 600.0, 1000, marks=pytest.mark.slow),
+            pytest.param("50-beam", 600.0, N_RECORDS, marks=pytest.mark.long),
+            pytest.param("spinnerlidar", 100.0, N_RECORDS, marks=pytest.mark.long),
+            pytest.param("spinnerlidar", 600.0, 1000, marks=pytest.mark.long),
         ],
     )
     def test_bias_and_covariance_are_the_theorys(self, name, duration, n_records, flow):
@@ -214,7 +214,7 @@ class TestBoxes:
 
     @pytest.mark.parametrize("flow", FLOWS)
     @pytest.mark.parametrize(
-        "width", [pytest.param(2.1, marks=pytest.mark.slow), 6.0, pytest.param(12.0, marks=pytest.mark.slow)]
+        "width", [pytest.param(2.1, marks=pytest.mark.long), 6.0, pytest.param(12.0, marks=pytest.mark.long)]
     )
     def test_how_they_differ_from_an_infinite_domain(self, width, flow):
         """The table in docs/noise.md, whose numbers these are."""
