@@ -573,7 +573,13 @@ def _pulse_rules(pulse: str, ratio: float, fineness: int) -> tuple[tuple[FloatAr
 
 
 def _gauss_rule(points: FloatArray, weights: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return the n-point Gaussian quadrature of a measure of many points: Stieltjes, then Golub and Welsch (1969)."""
+    """Return the n-point Gaussian quadrature of a measure of many points: Stieltjes, then Golub and Welsch (1969).
+
+    A measure of no more than n points is its own quadrature, and is returned with the points that it has.
+    """
+    held = weights > 0.0
+    if np.count_nonzero(held) <= n:
+        return points[held], weights[held] / np.sum(weights[held])
     measure = weights / np.sum(weights)
     diagonal, off = np.zeros(n), np.zeros(n)
     before, now = np.zeros_like(points), np.ones_like(points)

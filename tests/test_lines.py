@@ -200,6 +200,7 @@ class TestExtremes:
         assert np.all(maker.make(2, seed=1).var(axis=-1) > 0.0)
 
     @pytest.mark.slow
+    @pytest.mark.long
     def test_four_hundred_beams_for_ten_minutes_in_two_gibibytes(self):
         """About half a minute; numpy reports its arrays to tracemalloc."""
         tracemalloc.start()

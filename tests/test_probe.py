@@ -382,6 +382,7 @@ class TestNoise:
         noise.check_scan(scan)
 
     @pytest.mark.slow
+    @pytest.mark.long
     def test_spinnerlidar_with_its_probe(self):
         noise = theory_noise(load_scan("spinnerlidar-probe"), SEED, wind_speed=10.0)
         points = theory_noise(load_scan("spinnerlidar"), SEED, wind_speed=10.0)
@@ -470,3 +471,13 @@ class TestFilesAndNames:
     def test_tolerance_of_the_probe_is_checked(self):
         with pytest.raises(InputError, match="Invalid probe_tolerance -1"):
             theory_noise(load_scan("staring"), SEED, wind_speed=10.0, probe_tolerance=-1.0)
+
+
+def test_a_measure_of_few_points_is_its_own_quadrature():
+    from bayes_rs.probe import _gauss_rule  # noqa: PLC0415
+
+    points = np.linspace(-1.0, 1.0, 9)
+    weights = np.where(np.abs(points) < 0.3, 2.0, 0.0)
+    nodes, shares = _gauss_rule(points, weights, 8)
+    np.testing.assert_array_equal(nodes, points[np.abs(points) < 0.3])
+    np.testing.assert_allclose(shares, 1.0 / 3.0)
