@@ -55,12 +55,21 @@ class LogNormalLikelihood:
     def whitened_residual(self, stress: FloatArray) -> FloatArray:
         """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
         mean = stress @ self.gain.swapaxes(-1, -2) + self.offset[:, None, :]
-        return np.asarray(self.datum[:, None, :] - np.log(mean) @ self.whitening.swapaxes(-1, -2))
+        with np.errstate(invalid="ignore", divide="ignore"):  # see log_density
+            log_mean = np.log(mean)
+        return np.asarray(self.datum[:, None, :] - log_mean @ self.whitening.swapaxes(-1, -2))
 
     def log_density(self, stress: FloatArray) -> FloatArray:
-        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
-        residual = self.whitened_residual(stress)
-        return np.asarray(self.log_normalizer[:, None] - 0.5 * np.einsum("rds,rds->rd", residual, residual))
+        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
+
+        A tensor for which a beam's expected variance is not positive has likelihood zero. For points that is a tensor
+        of rank one across the beam, to rounding; with a probe volume the gain is interpolated, and is a positive form
+        only up to the error of the interpolation.
+        """
+        with np.errstate(invalid="ignore"):
+            residual = self.whitened_residual(stress)
+            density = self.log_normalizer[:, None] - 0.5 * np.einsum("rds,rds->rd", residual, residual)
+        return np.where(np.isfinite(density), density, -np.inf)
 
     def take(self, records: np.ndarray[tuple[int], np.dtype[np.int64]]) -> LogNormalLikelihood:
         """Return the likelihood of some of the records."""

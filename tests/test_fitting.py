@@ -176,6 +176,28 @@ class TestNoiseBank:
         assert width[1] == pytest.approx(0.1, rel=0.15)
 
 
+class TestProbe:
+    def test_the_variance_that_the_probe_took_is_given_back(self):
+        """R comes out the same from probed variances and probed noise as from points: the gain undoes the probe."""
+        from bayes_rs import calibrate, load_turbulence, noise_for_records  # noqa: PLC0415
+
+        turbulence = load_turbulence("fu-2022")
+        stress = np.array([1.2, 0.77, 0.49, 0.0, -0.36, 0.0])
+        trace = {}
+        for name in ("pulsed-4-beam", "pulsed-4-beam-probe"):
+            scan = load_scan(name)
+            gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain
+            records = records_of(np.tile(gain @ stress, (3, 1)), scan)
+            records["wind_speed"][:] = [9.0, 10.0, 11.0]
+            records["yaw"][:] = [-20.0, 0.0, 35.0]  # interpolated gains, at which extreme tensors must do no harm
+            noise, _ = noise_for_records(records.isel(record=[1]), scan, turbulence)
+            spread, _ = noise_for_records(records, scan, turbulence)
+            assert np.isfinite(fit(records, scan, noise=spread, seed=1)["posterior/stress"]).all()
+            result = fit(records.isel(record=[1]), scan, noise=noise, seed=1, target_ess=4000)
+            trace[name] = float(result["posterior/stress"].sel(component=["uu", "vv", "ww"]).sum("component").mean())
+        assert trace["pulsed-4-beam-probe"] == pytest.approx(trace["pulsed-4-beam"], rel=0.05)
+
+
 class TestRefusals:
     @pytest.fixture
     def scene(self):

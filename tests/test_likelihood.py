@@ -121,6 +121,17 @@ def test_scaling_of_data_and_stress_shifts_nothing_but_nothing(stress):
         )
 
 
+def test_a_tensor_that_gives_a_beam_no_variance_has_likelihood_zero():
+    """A rank-one tensor across the beam; or a gain that is no positive form, as interpolation can leave it."""
+    scan = load_scan("2-beam")
+    likelihood = build(scan, np.ones((1, 2)))
+    beam = scan.line_of_sight[0]
+    across = np.cross(beam, [0.0, 0.0, 1.0])
+    tensor = np.outer(across, across)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    assert likelihood.log_density(np.array([[tensor, -tensor, 1e-3 - tensor]]))[0].max() < -100.0
+    assert np.isneginf(likelihood.log_density(np.array([[-np.ones(6)]]))[0, 0])
+
+
 class TestRefusals:
     def test_singular_noise(self):
         scan = load_scan("2-beam")
