@@ -23,7 +23,7 @@ EXIT_BAD_INPUT = 2
 
 def main() -> None:
     """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
-    from bayes_rs.errors import InputError, MissingExtraError  # noqa: PLC0415 - help must not wait for numpy
+    from bayes_rs.errors import InputError, MissingExtraError
 
     try:
         code = commands.main(prog_name="bayes-rs", standalone_mode=False)
@@ -143,7 +143,7 @@ def _record_options(command: _Command) -> _Command:
 @click.option("--seed", type=int, default=1, show_default=True)
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
-    from bayes_rs.demo import run_demo  # noqa: PLC0415
+    from bayes_rs.demo import run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
         click.echo(line)
@@ -152,9 +152,9 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
 @commands.command()
 def scans() -> None:
     """List the shipped scans and what each can see of the six stresses."""
-    from bayes_rs.forward import sight  # noqa: PLC0415
-    from bayes_rs.models import preset_names  # noqa: PLC0415
-    from bayes_rs.scan_file import load_scan  # noqa: PLC0415
+    from bayes_rs.forward import sight
+    from bayes_rs.models import preset_names
+    from bayes_rs.scan_file import load_scan
 
     click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
     for name in preset_names("scans"):
@@ -174,7 +174,7 @@ def scans() -> None:
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
     """Make records, one variance a beam and averaging period, from files of radial velocities."""
-    from bayes_rs.output import output_file  # noqa: PLC0415
+    from bayes_rs.output import output_file
 
     with output_file(output, overwrite=overwrite) as part:
         made, _ = _make_records(files, options)
@@ -194,8 +194,8 @@ def plan(
     scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
 ) -> None:
     """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
-    from bayes_rs.mann import load_turbulence  # noqa: PLC0415
-    from bayes_rs.planning import plan as make_plan  # noqa: PLC0415
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.planning import plan as make_plan
 
     made = make_plan(
         _load_scan({"scan_name": scan, **scan_options}),
@@ -242,9 +242,9 @@ def calibrate(
     **scan_options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
-    from bayes_rs.calibration import calibrate as run_calibration  # noqa: PLC0415
-    from bayes_rs.mann import load_turbulence  # noqa: PLC0415
-    from bayes_rs.output import output_file  # noqa: PLC0415
+    from bayes_rs.calibration import calibrate as run_calibration
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.output import output_file
 
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
@@ -296,8 +296,8 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
 
     FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
     """
-    from bayes_rs.job import run_fit  # noqa: PLC0415
-    from bayes_rs.output import check_output_folder  # noqa: PLC0415
+    from bayes_rs.job import run_fit
+    from bayes_rs.output import check_output_folder
 
     check_output_folder(output, overwrite=overwrite)
     made, scan = _make_records(files, options)
@@ -339,9 +339,9 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
     """Draw the posterior of one record of a fit, with the outline of the prior."""
-    from bayes_rs.job import open_result  # noqa: PLC0415
-    from bayes_rs.output import output_file  # noqa: PLC0415
-    from bayes_rs.plots import plot_corner  # noqa: PLC0415
+    from bayes_rs.job import open_result
+    from bayes_rs.output import output_file
+    from bayes_rs.plots import plot_corner
 
     figure = plot_corner(open_result(folder), record)
     picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
@@ -351,7 +351,7 @@ def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> N
 
 
 def _load_scan(options: dict[str, Any]) -> Scan:
-    from bayes_rs.scan_file import load_scan  # noqa: PLC0415
+    from bayes_rs.scan_file import load_scan
 
     distances = options["focus_distance"]
     return load_scan(
@@ -365,9 +365,9 @@ def _load_scan(options: dict[str, Any]) -> Scan:
 
 def _make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Any, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
-    from bayes_rs.job import open_records  # noqa: PLC0415
-    from bayes_rs.readers import read_radial_velocity  # noqa: PLC0415
-    from bayes_rs.records import describe_report, make_records  # noqa: PLC0415
+    from bayes_rs.job import open_records
+    from bayes_rs.readers import read_radial_velocity
+    from bayes_rs.records import describe_report, make_records
 
     scan = _load_scan(options)
     if len(files) == 1 and (made := open_records(files[0], scan)) is not None:
@@ -418,7 +418,7 @@ def _whole(text: str) -> int:
 
 
 def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
-    from bayes_rs.noise import NoiseBank  # noqa: PLC0415
+    from bayes_rs.noise import NoiseBank
 
     models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     return [

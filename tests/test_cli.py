@@ -553,3 +553,16 @@ class TestBadOptions:
         monkeypatch.setattr("bayes_rs.calibration.calibrate", computed)
         answer = bayes_rs("calibrate", "staring", "--wind-speed", 10, "-o", inputs / "noise.nc")
         refusal(*answer, "noise.nc", "exists", "--overwrite")
+
+
+class TestPlan:
+    def test_it_prints_what_is_computed_and_what_is_skipped(self, bayes_rs):
+        code, out, err = bayes_rs("plan", "50-beam", "--wind-speed", 8)
+        assert code == 0
+        assert err == []
+        assert "50-beam (50 beams), 600 s at 8 m/s" in out
+        assert "50 variances a record are reduced to 5 numbers" in out
+
+    def test_bad_input_is_one_line(self, bayes_rs):
+        refusal(*bayes_rs("plan", "7-beam"), "No preset '7-beam'")
+        refusal(*bayes_rs("plan", "6-beam", "--wind-speed", -1), "Invalid wind_speed -1.0 m/s")
