@@ -88,3 +88,21 @@ class TestFit:
     def test_refuses_more_anisotropy_than_the_model_has(self):
         with pytest.raises(InputError, match=r"No turbulence fits the stress .*: gamma would be above 15"):
             fit_turbulence([1.0, 1e-3, 1e-4, 0.0, -1e-4, 0.0], length_scale=50.0)
+
+
+class TestNeutralPresets:
+    """The neutral presets against the spectra of Kaimal et al. (1972), which they were fitted to."""
+
+    @pytest.mark.parametrize(("name", "roughness"), [("neutral-onshore", 0.05), ("neutral-offshore", 0.0002)])
+    def test_spectra_are_those_of_kaimal(self, name, roughness):
+        height, wind_speed = 100.0, 10.0
+        friction_velocity = 0.4 * wind_speed / np.log(height / roughness)
+        wave_number = np.logspace(-4.0, 0.0, 25)
+        n = wave_number * height / (2.0 * np.pi)
+        spectra = wave_number[:, None] * load_turbulence(name).spectra(wave_number).real / friction_velocity**2
+        # two-sided, so half of n S(n)/u*²
+        along = 0.5 * 102.0 * n / (1.0 + 33.0 * n) ** (5.0 / 3.0)
+        lateral = 0.5 * 17.0 * n / (1.0 + 9.5 * n) ** (5.0 / 3.0)
+        np.testing.assert_allclose(spectra[:, 0], along, rtol=0.2)  # a three-parameter fit to all three spectra
+        inertial = n > 0.4
+        np.testing.assert_allclose(spectra[inertial, 1], lateral[inertial], rtol=0.25)
