@@ -415,7 +415,7 @@ class TestBadInput:
 
     def test_times_that_are_not_times(self):
         series = series_of([1.0, 2.0], [0, 0], [1.0, 2.0])
-        for time in ([1.0, 2.0], [START, np.datetime64("NaT")]):
+        for time in ([1.0, 2.0], [START, np.datetime64("NaT", "ns")]):
             with pytest.raises(InputError, match="every time must be a UTC time of type datetime64"):
                 make_records(series.assign_coords(time=("sample", time)), SCAN)
 
