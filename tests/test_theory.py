@@ -71,7 +71,7 @@ class TestSeedFlow:
     def test_errors_of_a_quarter_strongly_correlated(self):
         noise = theory_noise(load_scan("6-beam"), SEED, wind_speed=10.0)
         assert np.all((noise.relative_error > 0.2) & (noise.relative_error < 0.3))
-        assert np.all((noise.correlation > 0.5) & (noise.correlation <= 1.0))
+        assert np.all((noise.correlation > 0.5) & (noise.correlation <= 1.0 + 1e-12))  # rounding
 
     def test_linear_detrending_removes_more(self):
         by_mean, by_line = (

@@ -190,7 +190,7 @@ class TestSimulate:
         assert series.sizes["sample"] == 5 * 60 * 6
         assert series["time"].dtype == "datetime64[ns]"
         assert series["time"].values[0] == np.datetime64("2000-01-01T00:00:00")
-        assert np.all(np.diff(series["time"].values) >= np.timedelta64(0))
+        assert np.all(np.diff(series["time"].values) >= np.timedelta64(0, "ns"))
         assert series["time"].values[-1] < np.datetime64("2000-01-01T00:05:00")
         assert series["beam"].values[:6].tolist() == scan.beam.tolist()
         assert series.attrs["scan"] == "6-beam"
