@@ -29,11 +29,12 @@ check: $(VENV)/installed-check
 	$(ENV) $(BIN)/python notebooks/run_short.py
 	$(BIN)/nbstripout --verify notebooks/*.ipynb
 
-# what is shipped in models/, made again; needs hours, not minutes, for `noise`
+# what is shipped in models/, made again; `noise` takes about half an hour
 data: $(VENV)/installed-test
 	$(BIN)/python benchmarks/make_demo_data.py
 noise: $(VENV)/installed-test
 	$(BIN)/python benchmarks/calibrate_shipped_noise.py
+	$(BIN)/python benchmarks/make_noise_banks.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

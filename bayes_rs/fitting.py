@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -133,6 +131,7 @@ def fit(
     size = int(np.clip(_CHUNK_NUMBERS // scan.n_beam**2, 1, _CHUNK))
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
     draws = [sample(chunk) for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))]
+    joined = _joined(draws) if draws else None
     return assemble(
         records,
         scan,
@@ -140,8 +139,8 @@ def fit(
         chosen_prior,
         fitted=fitted,
         usable=usable,
-        draws=_joined(draws) if draws else None,
-        flag=_result_flags(records, usable, fitted, draws, target_ess),
+        draws=joined,
+        flag=_result_flags(records, usable, fitted, joined, target_ess),
         attributes={
             "target": target,
             "sampler": sampler,
@@ -280,20 +279,20 @@ def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
     if "time" in records.coords and np.issubdtype(records["time"].dtype, np.datetime64):
         starts = records["time"].values.astype("datetime64[ns]").astype(np.int64)
         if len(np.unique(starts)) == len(starts):
-            return starts - np.iinfo(np.int64).min if np.any(starts < 0) else starts
+            return starts
     return np.arange(records.sizes["record"], dtype=np.int64)
 
 
 def _joined(draws: list[RecordDraws]) -> RecordDraws:
-    pick: Callable[[str], NDArray[np.float64]] = lambda name: np.concatenate([getattr(part, name) for part in draws])  # noqa: E731
-    return RecordDraws(**{name: pick(name) for name in RecordDraws.__dataclass_fields__})  # type: ignore[arg-type]
+    names = RecordDraws.__dataclass_fields__
+    return RecordDraws(**{name: np.concatenate([getattr(part, name) for part in draws]) for name in names})
 
 
 def _result_flags(
     records: xr.Dataset,
     usable: NDArray[np.bool_],
     fitted: NDArray[np.int64],
-    draws: list[RecordDraws],
+    draws: RecordDraws | None,
     target_ess: int,
 ) -> NDArray[np.int64]:
     """Return one bit mask for each record; the bits are in `FLAGS`."""
@@ -308,8 +307,7 @@ def _result_flags(
         for meaning, mask in zip(meanings, masks, strict=True):
             if meaning == "yaw_not_seen":
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS["yaw_not_seen"]
-    if draws:
-        joined = _joined(draws)
-        flag[fitted[joined.ess_bulk.min(axis=1) < target_ess]] |= FLAGS["short_chain"]
-        flag[fitted[joined.r_hat.max(axis=1) > R_HAT_LIMIT]] |= FLAGS["ensembles_differ"]
+    if draws is not None:
+        flag[fitted[draws.ess_bulk.min(axis=1) < target_ess]] |= FLAGS["short_chain"]
+        flag[fitted[draws.r_hat.max(axis=1) > R_HAT_LIMIT]] |= FLAGS["ensembles_differ"]
     return flag

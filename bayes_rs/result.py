@@ -16,6 +16,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.forward import sight
 from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.prior import Prior
+from bayes_rs.sampling import N_WALKER
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
 
@@ -115,7 +116,7 @@ def assemble(
     unit = {"units": "m2 s-2"}
     if draws is not None:
         n_chain = draws.stress.shape[1]
-        chain = {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // (n_chain // 4))}
+        chain = {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // N_WALKER)}
         groups["posterior"] = xr.Dataset(
             {"stress": (("chain", "draw", "record", "component"), spread(draws.stress, 2), unit)},
             coords={**stress_coords, **chain, "draw": np.arange(draws.stress.shape[2])},

@@ -39,12 +39,12 @@ class RecordStreams:
     seed : int
         The seed of the whole fit.
     keys : sequence of int
-        One non-negative number for each record, such as its start in nanoseconds.
+        One number for each record, such as its start in nanoseconds; below zero before 1970.
     """
 
     def __init__(self, seed: int, keys: NDArray[np.int64]) -> None:
         self._streams = [
-            np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, *divmod(int(key), 2**32)])))
+            np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, *divmod(int(key) % 2**64, 2**32)])))
             for key in keys
         ]
 

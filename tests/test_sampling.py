@@ -180,7 +180,7 @@ class TestStreams:
     def test_a_record_is_the_same_alone_and_in_company(self):
         prior = WeakPrior()
         likelihood = build(load_scan("50-beam"), 5, prior, 9)
-        keys = np.array([10, 11, 12, 13, 2**62])
+        keys = np.array([10, -11, 12, 13, 2**62])  # a start before 1970 is a number below zero
         together, _ = RecordSampler(likelihood, prior, 1, keys).run(16, np.arange(5))
         for some in ([3], [4, 1]):
             part = RecordSampler(likelihood.take(np.array(some)), prior, 1, keys[some])
