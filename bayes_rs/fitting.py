@@ -6,28 +6,26 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs import diagnostics
-from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_non_negative
+from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
+from bayes_rs.batch import Batch, FitOptions, RecordDraws, fit_batch
 from bayes_rs.errors import InputError
-from bayes_rs.likelihood import LogNormalLikelihood, log_normal_likelihood
-from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise
+from bayes_rs.likelihood import LIKELIHOODS
+from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.nuisance import Nuisances
 from bayes_rs.prior import Prior, make_prior
 from bayes_rs.progress import progress
-from bayes_rs.result import FLAGS, RecordDraws, assemble
-from bayes_rs.sampling import N_CHAIN, N_ENSEMBLE, RecordSampler
+from bayes_rs.result import FLAGS, assemble
+from bayes_rs.sampling import SAMPLERS
+from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT, Chains
 from bayes_rs.scan import Scan
 
 TARGETS = ("record", "ensemble")
-SAMPLERS = ("emcee",)
-R_HAT_LIMIT = 1.05
-"""Ensembles of a record that differ by more than this have not found the same posterior."""
+MISFIT_LIMIT = 5.0
+"""A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""
 _CHUNK_NUMBERS = 4_000_000
 """Entries of the covariances of records that are sampled together: 32 MB an array."""
-_LEAST_STEPS = 64
-_PREDICT_EVERY = 16
-"""One in so many draws gives a draw of the posterior predictive distribution."""
 
 
 def fit(
@@ -39,6 +37,8 @@ def fit(
     prior: str | Prior = "weak",
     target: str = "record",
     sampler: str = "emcee",
+    likelihood: str = "log-normal",
+    nuisances: Nuisances | None = None,
     target_ess: int = 1000,
     max_extension: int = 5,
     instrument_noise: float = 0.0,
@@ -65,7 +65,14 @@ def fit(
         Which R: ``"record"``, the expected tensor of one averaging period with its own mean removed, or ``"ensemble"``,
         the tensor of an infinite record.
     sampler : str
-        ``"emcee"``.
+        ``"emcee"``: one emcee ensemble for many records, driven by proposals fitted to each. ``"direct"``: independent
+        draws of such proposals, weighted and resampled; the quickest. ``"auto"``: direct, and emcee for the records
+        whose weights are too uneven for that. ``"emcee-plain"``: stretch moves, one record at a time; slow, for
+        reference. All give the same posterior.
+    likelihood : str
+        ``"log-normal"``, ``"gaussian"``, ``"gaussian-plugin"`` or ``"gamma"``: the distribution of the variances.
+    nuisances : Nuisances, optional
+        What is uncertain beside R: yaw, tilt, instrument noise, length scale, inflation of the noise.
     target_ess : int
         Bulk effective sample size that every stress of every record should reach.
     max_extension : int
@@ -94,159 +101,114 @@ def fit(
     E[y_b] = n·R n (+ instrument noise), times 1 + bias_b for the ensemble target; the noise of y is log-normal with the
     noise model's relative covariance. See `LogNormalLikelihood`, `WeakPrior` and `RecordSampler`.
     """
-    chosen_prior = make_prior(prior)
-    check_choice(target, TARGETS, what="target")
-    check_choice(sampler, SAMPLERS, what="sampler")
-    check_count(target_ess, what="target_ess")
-    check_count(max_extension, what="max_extension", minimum=0)
-    check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
-    as_generator(seed)
-    scan = _checked_scan(records, scan)
-    noise = noise.select(scan.beam)
-    noise.check_scan(scan)
-    _check_duration(records, noise)
-
-    variance = np.asarray(records["variance"].values, dtype=np.float64)
-    usable = (records["flag"].values == 0) & (variance > 0.0)
-    wind_speed = np.asarray(records["wind_speed"].values, dtype=np.float64)
-    yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64))
-    fitted = np.flatnonzero(usable.any(axis=1) & (wind_speed > 0.0) & np.isfinite(yaw))
-    keys = _stream_keys(records)
-    outside = np.zeros(len(variance), dtype=np.bool_)
-
-    def sample(chunk: NDArray[np.int64]) -> RecordDraws:
-        at_record = _noise_of(noise, records, wind_speed, yaw, chunk)
-        outside[chunk] = at_record.outside
-        gain = at_record.gain
-        if target == "ensemble":
-            gain = gain * (1.0 + at_record.bias)[:, :, None]
-        likelihood = log_normal_likelihood(
-            variance[chunk], usable[chunk], gain, at_record.covariance, offset=instrument_noise
-        )
-        noise_factor = _symmetric_root(np.log1p(at_record.covariance), at_record.state)
-        return _sample_chunk(
-            likelihood, chosen_prior, int(seed), keys[chunk], target_ess, max_extension, noise_factor, usable[chunk]
-        )
-
-    size = int(np.clip(_CHUNK_NUMBERS // scan.n_beam**2, 1, _CHUNK))
+    options = _options(prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed)
+    scan, noise, batch = prepare(records, scan, noise)
+    fitted = np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > 0.0) & np.isfinite(batch.yaw))
+    size = batch_size(scan.n_beam)
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
-    draws = [sample(chunk) for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))]
+    draws = [
+        fit_batch(batch.take(chunk), noise, options)
+        for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))
+    ]
     joined = _joined(draws) if draws else None
     return assemble(
         records,
         scan,
         noise,
-        chosen_prior,
+        options.prior,
         fitted=fitted,
-        usable=usable,
+        usable=batch.used,
         draws=joined,
-        flag=_result_flags(records, usable, fitted, joined, target_ess),
+        flag=result_flags(records, batch.used, fitted, joined, target_ess),
         attributes={
             "target": target,
             "sampler": sampler,
+            "likelihood": likelihood,
+            "nuisances": options.nuisances.in_words(),
+            "instrument_noise": float(instrument_noise),
             "seed": int(seed),
             "target_ess": target_ess,
-            "n_outside_noise": int(np.count_nonzero(outside)),
+            "n_outside_noise": 0 if joined is None else int(np.count_nonzero(joined.outside)),
         },
+    )
+
+
+def batch_size(n_beam: int) -> int:
+    """Return how many records are sampled together."""
+    return int(np.clip(_CHUNK_NUMBERS // n_beam**2, 1, _CHUNK))
+
+
+def prepare(
+    records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank
+) -> tuple[Scan, NoiseModel | NoiseBank, Batch]:
+    """Check that records, scan and noise belong together; return scan and noise of the records' beams, and the data.
+
+    Raises
+    ------
+    InputError
+        If they do not belong together.
+    NoiseMismatchError
+        If the noise was made for another scan or record length.
+    """
+    scan = _checked_scan(records, scan)
+    noise = noise.select(scan.beam)
+    noise.check_scan(scan)
+    _check_duration(records, noise)
+    variance = np.asarray(records["variance"].values, dtype=np.float64)
+    return (
+        scan,
+        noise,
+        Batch(
+            variance,
+            (records["flag"].values == 0) & (variance > 0.0),
+            np.asarray(records["wind_speed"].values, dtype=np.float64),
+            np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)),
+            _stream_keys(records),
+            {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
+        ),
+    )
+
+
+def _options(
+    prior: str | Prior,
+    target: str,
+    sampler: str,
+    likelihood: str,
+    nuisances: Nuisances | None,
+    instrument_noise: float,
+    target_ess: int,
+    max_extension: int,
+    seed: int,
+) -> FitOptions:
+    """Check the options of a fit."""
+    chosen = make_prior(prior)
+    check_choice(target, TARGETS, what="target")
+    check_choice(sampler, tuple(SAMPLERS), what="sampler")
+    check_choice(likelihood, tuple(LIKELIHOODS), what="likelihood")
+    check_count(target_ess, what="target_ess")
+    check_count(max_extension, what="max_extension", minimum=0)
+    check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
+    as_generator(seed)
+    uncertain = Nuisances() if nuisances is None else nuisances
+    if uncertain.instrument_noise_log_sd > 0.0 and instrument_noise == 0.0:
+        raise InputError(
+            "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²."
+        )
+    return FitOptions(
+        prior=chosen,
+        target=target,
+        sampler=sampler,
+        likelihood=likelihood,
+        nuisances=uncertain,
+        instrument_noise=instrument_noise,
+        target_ess=target_ess,
+        max_extension=max_extension,
+        seed=int(seed),
     )
 
 
 def _disable(show_progress: bool | None) -> bool | None:
     return None if show_progress is None else not show_progress
-
-
-def _sample_chunk(
-    likelihood: LogNormalLikelihood,
-    prior: Prior,
-    seed: int,
-    keys: NDArray[np.int64],
-    target_ess: int,
-    max_extension: int,
-    noise_factor: FloatArray,
-    usable: NDArray[np.bool_],
-) -> RecordDraws:
-    """Sample records together; double the chains of those that miss the target until the budget is spent."""
-    n_record = len(keys)
-    # a whole number of thinning blocks: chains are halved when they are extended, and every sixteenth draw predicts
-    n_draw = max(_LEAST_STEPS, _PREDICT_EVERY * -(-2 * target_ess // (N_CHAIN * _PREDICT_EVERY)))
-    sampler = RecordSampler(likelihood, prior, seed, keys)
-    everyone = np.arange(n_record)
-    coordinate, acceptance = sampler.run(n_draw, everyone)
-    n_step = np.full(n_record, n_draw)
-    time = np.empty((n_record, 6))
-    stress = prior.stress(coordinate)
-    bulk, tail, hat = _diagnose(stress, time, everyone, stride=1)
-    missing = everyone
-    for extension in range(max_extension):
-        missing = missing[(bulk[missing].min(axis=1) < target_ess) | (hat[missing].max(axis=1) > R_HAT_LIMIT)]
-        if len(missing) == 0:
-            break
-        stride = 2 ** (extension + 1)
-        more, more_acceptance = sampler.run(n_draw * stride // 2, missing)
-        # one in two of the old draws (thinned to every stride/2 steps) and one in `stride` of the new ones
-        new = more[:, :, stride - 1 :: stride]
-        coordinate[missing] = np.concatenate([coordinate[missing][:, :, 1::2], new], axis=2)
-        acceptance[missing] = 0.5 * (acceptance[missing] + more_acceptance)
-        n_step[missing] = n_draw * stride
-        stress[missing] = prior.stress(coordinate[missing])
-        bulk[missing], tail[missing], hat[missing] = _diagnose(stress[missing], time, missing, stride)
-    predicted = _predict(stress, likelihood, noise_factor, usable, sampler)
-    return RecordDraws(stress, predicted, bulk, tail, hat, time, acceptance, n_step)
-
-
-def _diagnose(
-    stress: FloatArray, time: FloatArray, records: NDArray[np.int64], stride: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ESS (bulk, tail) and R-hat, shape (n, 6), of stresses (n, chain, draw, 6); fill the records' times."""
-    by_component = np.moveaxis(stress, -1, 1)
-    time[records] = diagnostics.autocorrelation_time(by_component) * stride
-    return (
-        diagnostics.ess_bulk(by_component),
-        diagnostics.ess_tail(by_component),
-        diagnostics.r_hat(by_component, N_ENSEMBLE),
-    )
-
-
-def _predict(
-    stress: FloatArray,
-    likelihood: LogNormalLikelihood,
-    noise_factor: FloatArray,
-    usable: NDArray[np.bool_],
-    sampler: RecordSampler,
-) -> FloatArray:
-    """Draw radial variances from the posterior predictive distribution."""
-    some = stress[:, :, _PREDICT_EVERY - 1 :: _PREDICT_EVERY]
-    n_record, n_chain, n_some, _ = some.shape
-    n_beam = likelihood.gain.shape[1]
-    mean = some.reshape(n_record, -1, 6) @ likelihood.gain.swapaxes(-1, -2) + likelihood.offset[:, None, :]
-    normal = sampler.streams.normal(np.arange(n_record), (n_chain * n_some, n_beam))
-    half_variance = 0.5 * np.einsum("rbk,rbk->rb", noise_factor, noise_factor)
-    log_noise = normal @ noise_factor.swapaxes(-1, -2) - half_variance[:, None, :]
-    predicted = np.where(usable[:, None, :], mean * np.exp(log_noise), np.nan)
-    return predicted.reshape(n_record, n_chain, n_some, n_beam)
-
-
-def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArray:
-    """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
-    _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
-    values, vectors = np.linalg.eigh(matrices[first])
-    # eigenvalues below zero are rounding: NoiseModel has refused anything more
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
-    return np.asarray(roots[inverse.reshape(-1)])
-
-
-def _noise_of(
-    noise: NoiseModel | NoiseBank,
-    records: xr.Dataset,
-    wind_speed: FloatArray,
-    yaw: FloatArray,
-    chunk: NDArray[np.int64],
-) -> RecordNoise:
-    """Return the noise of some records; of their own turbulence where they have one and the bank spans several."""
-    if isinstance(noise, NoiseModel):
-        return noise.for_records(wind_speed[chunk], yaw[chunk])
-    own = {name: records[name].values[chunk] for name in ("length_scale", "gamma") if name in records}
-    return noise.for_records(wind_speed[chunk], yaw[chunk], **own)
 
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
@@ -284,11 +246,19 @@ def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
 
 
 def _joined(draws: list[RecordDraws]) -> RecordDraws:
-    names = RecordDraws.__dataclass_fields__
-    return RecordDraws(**{name: np.concatenate([getattr(part, name) for part in draws]) for name in names})
+    chains = Chains(
+        **{name: np.concatenate([getattr(part.chains, name) for part in draws]) for name in Chains.__dataclass_fields__}
+    )
+    return RecordDraws(
+        chains,
+        {name: np.concatenate([part.nuisances[name] for part in draws]) for name in draws[0].nuisances},
+        np.concatenate([part.predicted for part in draws]),
+        np.concatenate([part.misfit for part in draws]),
+        np.concatenate([part.outside for part in draws]),
+    )
 
 
-def _result_flags(
+def result_flags(
     records: xr.Dataset,
     usable: NDArray[np.bool_],
     fitted: NDArray[np.int64],
@@ -308,6 +278,9 @@ def _result_flags(
             if meaning == "yaw_not_seen":
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS["yaw_not_seen"]
     if draws is not None:
-        flag[fitted[draws.ess_bulk.min(axis=1) < target_ess]] |= FLAGS["short_chain"]
-        flag[fitted[draws.r_hat.max(axis=1) > R_HAT_LIMIT]] |= FLAGS["ensembles_differ"]
+        chains = draws.chains
+        flag[fitted[~(chains.ess_bulk.min(axis=1) >= target_ess)]] |= FLAGS["short_chain"]
+        flag[fitted[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)]] |= FLAGS["ensembles_differ"]
+        flag[fitted[chains.pareto_k > PARETO_K_LIMIT]] |= FLAGS["weights_uneven"]
+        flag[fitted[draws.misfit > MISFIT_LIMIT]] |= FLAGS["contradicts_model"]
     return flag

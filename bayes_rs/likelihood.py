@@ -1,37 +1,56 @@
-"""The likelihood of the beam variances of many records at once, log-normal with the noise model's covariance."""
+"""The likelihood of the beam variances of many records at once, by name; the log-normal one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.forward import RANK_TOLERANCE
+from bayes_rs._validation import FloatArray, check_choice
+from bayes_rs.likelihood_base import (
+    REFERENCE_STRESS,
+    Likelihood,
+    beam_data,
+    check_tails,
+    factor_reduced,
+    half_square,
+    log_normalizer,
+    seen_directions,
+    with_tails,
+)
+from bayes_rs.plugin_likelihood import plugin_likelihood
+from bayes_rs.power_likelihood import power_likelihood
 
-REFERENCE_STRESS = np.array([1.0, 0.5, 0.27, 0.0, -0.15, 0.0])
-"""Shape of R at which the data are reduced: near neutral flow. Another choice moves weight between beams, not truth."""
+__all__ = [
+    "LIKELIHOODS",
+    "REFERENCE_STRESS",
+    "Likelihood",
+    "LogNormalLikelihood",
+    "log_normal_likelihood",
+    "make_likelihood",
+]
+
+_BLOCK = 65_536
+"""Expected variances that are held at once: half a megabyte stays in the cache, a factor of 3 for 400 beams."""
 
 
 @dataclass(frozen=True)
-class LogNormalLikelihood:
+class LogNormalLikelihood(Likelihood):
     """ln y is normal about ln E[y] − ½ diag C with C = ln(1 + K), after reduction to what the stresses can move.
 
     Parameters
     ----------
-    gain : ndarray, shape (n_record, n_beam, 6)
-        E[y] = gain · stresses + offset; rows of beams that a record does not use are zero.
-    offset : ndarray, shape (n_record, n_beam)
-        Variance of the instrument's own noise, m² s⁻²; 1 for beams that a record does not use.
+    gain, offset, n_datum, dof
+        As in `Likelihood`; normal noise unless `dof` is given.
     datum : ndarray, shape (n_record, n_seen)
         Whitened, reduced log-variances W (ln y + ½ diag C).
     whitening : ndarray, shape (n_record, n_seen, n_beam)
         W; rows that a record does not need are zero.
     log_normalizer : ndarray, shape (n_record,)
         Log of the density's constant factor.
-    n_datum : ndarray of int, shape (n_record,)
-        Number of independent numbers that the record's variances were reduced to.
 
     Notes
     -----
@@ -50,16 +69,14 @@ class LogNormalLikelihood:
     datum: FloatArray
     whitening: FloatArray
     log_normalizer: FloatArray
-    n_datum: np.ndarray[tuple[int], np.dtype[np.int64]]
+    n_datum: NDArray[np.int64]
+    dof: float = np.inf
 
-    def whitened_residual(self, stress: FloatArray) -> FloatArray:
+    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
         """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
-        mean = stress @ self.gain.swapaxes(-1, -2) + self.offset[:, None, :]
-        with np.errstate(invalid="ignore", divide="ignore"):  # see log_density
-            log_mean = np.log(mean)
-        return np.asarray(self.datum[:, None, :] - log_mean @ self.whitening.swapaxes(-1, -2))
+        return with_tails(self._normal_residual(stress, offset), self.n_datum, self.dof)
 
-    def log_density(self, stress: FloatArray) -> FloatArray:
+    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
 
         A tensor for which a beam's expected variance is not positive has likelihood zero. For points that is a tensor
@@ -67,30 +84,42 @@ class LogNormalLikelihood:
         only up to the error of the interpolation.
         """
         with np.errstate(invalid="ignore"):
-            residual = self.whitened_residual(stress)
-            density = self.log_normalizer[:, None] - 0.5 * np.einsum("rds,rds->rd", residual, residual)
+            residual = self._normal_residual(stress, offset)
+            square = np.einsum("rds,rds->rd", residual, residual)
+            density = self.log_normalizer[:, None] - half_square(square, self.n_datum, self.dof)
         return np.where(np.isfinite(density), density, -np.inf)
 
-    def take(self, records: np.ndarray[tuple[int], np.dtype[np.int64]]) -> LogNormalLikelihood:
-        """Return the likelihood of some of the records."""
-        return LogNormalLikelihood(
-            gain=self.gain[records],
-            offset=self.offset[records],
-            datum=self.datum[records],
-            whitening=self.whitening[records],
-            log_normalizer=self.log_normalizer[records],
-            n_datum=self.n_datum[records],
-        )
+    def _normal_residual(self, stress: FloatArray, offset: FloatArray | None) -> FloatArray:
+        n_draw, n_beam = stress.shape[1], self.gain.shape[1]
+        residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
+        n_together = max(1, _BLOCK // max(1, n_draw * n_beam))
+        n_of_draws = max(1, _BLOCK // n_beam)
+        for first in range(0, self.n_record, n_together):
+            part = slice(first, first + n_together)
+            gain, whitening = self.gain[part].swapaxes(-1, -2), self.whitening[part].swapaxes(-1, -2)
+            for start in range(0, n_draw, n_of_draws):
+                draws = slice(start, start + n_of_draws)
+                mean = stress[part, draws] @ gain
+                mean += self.offset[part, None, :]
+                if offset is not None:
+                    mean += offset[part, draws, None]
+                with np.errstate(invalid="ignore", divide="ignore"):  # see log_density
+                    log_mean = np.log(mean, out=mean)
+                residual[part, draws] = self.datum[part, None, :] - log_mean @ whitening
+        return residual
 
 
 def log_normal_likelihood(
     variance: FloatArray,
-    used: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
+    used: NDArray[np.bool_],
     gain: FloatArray,
     covariance: FloatArray,
     offset: FloatArray | float = 0.0,
+    *,
+    inflation: float = 1.0,
+    dof: float = np.inf,
 ) -> LogNormalLikelihood:
-    """Prepare the likelihood of many records.
+    """Prepare the log-normal likelihood of many records.
 
     Parameters
     ----------
@@ -104,6 +133,10 @@ def log_normal_likelihood(
         Relative covariance K of the variances.
     offset : ndarray or float, shape (n_record, n_beam)
         Variance of the instrument's own noise, m² s⁻².
+    inflation : float
+        Factor of the covariance of ln y, for flow whose variances scatter more than a Gaussian one's. E[y] stays.
+    dof : float
+        Degrees of freedom of the noise: see `Likelihood`.
 
     Returns
     -------
@@ -113,51 +146,73 @@ def log_normal_likelihood(
     Raises
     ------
     InputError
-        If a record uses no beam, or a used variance is not positive.
+        If a record uses no beam, a used variance is not positive, or an option is not above zero.
     NotPositiveDefiniteError
         If the noise of the reduced data is singular: the noise model says that a combination of stresses is known
         without error.
     """
-    n_beam = variance.shape[1]
-    idle = np.flatnonzero(~used.any(axis=1))
-    if len(idle):
-        raise InputError(f"Record {idle[0]} has no usable beam: leave such records out before the likelihood is built.")
-    bad = np.argwhere(used & ~(variance > 0.0))
-    if len(bad):
-        record, beam = (int(i) for i in bad[0])
-        raise InputError(
-            f"Invalid variance {variance[record, beam]} of record {record}, beam {beam}: it must be positive; "
-            "flag the beam."
-        )
-    gain = np.where(used[:, :, None], gain, 0.0)
-    offset = np.where(used, np.broadcast_to(np.asarray(offset, dtype=np.float64), variance.shape), 1.0)
-    log_covariance = np.log1p(np.where(used[:, :, None] & used[:, None, :], covariance, 0.0))
-    reference = np.where(used, gain @ REFERENCE_STRESS, 1.0)
-    left, singular, _ = np.linalg.svd(gain / reference[:, :, None], full_matrices=False)
-    seen = singular > RANK_TOLERANCE * singular[:, :1]
-    left = left * seen[:, None, :]
+    check_tails(inflation, dof)
+    data = beam_data(variance, used, gain, offset)
+    log_covariance = inflation * np.log1p(data.relative_covariance(covariance))
+    reference = np.where(used, data.gain @ REFERENCE_STRESS, 1.0)
+    left, seen = seen_directions(data.gain / reference[:, :, None])
     reduced = left.swapaxes(-1, -2) @ log_covariance @ left
-    smallest = np.min(
-        np.linalg.eigvalsh(reduced + np.eye(seen.shape[1]) * np.where(seen, 0.0, 1.0)[:, None, :]), axis=-1
-    )
-    worst = int(np.argmin(smallest))
-    if smallest[worst] <= n_beam * np.finfo(np.float64).eps * np.max(np.abs(reduced[worst])):
-        raise NotPositiveDefiniteError(
-            f"The noise of record {worst} is singular: the smallest eigenvalue of its reduced log-covariance is "
-            f"{smallest[worst]:.3g} and must be positive; use a noise model with more realizations, or fewer beams.",
-            smallest_eigenvalue=float(smallest[worst]),
-        )
-    # directions that a record does not have get a unit pivot and a zero row: no part in residual and determinant
-    factor = np.linalg.cholesky(reduced + np.eye(seen.shape[1]) * np.where(seen, 0.0, 1.0)[:, None, :])
-    whitening = np.linalg.solve(factor, left.swapaxes(-1, -2))
-    log_y = np.log(np.where(used, variance, 1.0)) + 0.5 * np.einsum("rbb->rb", log_covariance)
-    n_datum = seen.sum(axis=1)
+    factor = factor_reduced(reduced, seen, variance.shape[1], what="log-covariance")
+    whitening = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2)), dtype=np.float64)
+    log_y = np.log(data.variance) + 0.5 * np.einsum("rbb->rb", log_covariance)
+    n_datum = seen.sum(axis=1).astype(np.int64)
     log_determinant = 2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1)
     return LogNormalLikelihood(
-        gain=gain,
-        offset=offset,
+        gain=data.gain,
+        offset=data.offset,
+        n_datum=n_datum,
+        dof=float(dof),
         datum=np.einsum("rsb,rb->rs", whitening, log_y),
         whitening=whitening,
-        log_normalizer=-0.5 * (log_determinant + n_datum * np.log(2.0 * np.pi)),
-        n_datum=n_datum.astype(np.int64),
+        log_normalizer=log_normalizer(n_datum, log_determinant, dof),
     )
+
+
+LIKELIHOODS: dict[str, Callable[..., Likelihood]] = {
+    "log-normal": log_normal_likelihood,
+    "gaussian-plugin": plugin_likelihood,
+    "gaussian": partial(power_likelihood, power=1.0),
+    "gamma": partial(power_likelihood, power=1.0 / 3.0),
+}
+"""The likelihoods by name; each call takes variance, used, gain, covariance, offset and the options by name."""
+
+
+def make_likelihood(
+    name: str,
+    variance: FloatArray,
+    used: NDArray[np.bool_],
+    gain: FloatArray,
+    covariance: FloatArray,
+    offset: FloatArray | float = 0.0,
+    *,
+    inflation: float = 1.0,
+    dof: float = np.inf,
+) -> Likelihood:
+    """Prepare the likelihood that `name` means; for the others see `log_normal_likelihood`.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIKELIHOODS`.
+    variance, used, gain, covariance, offset, inflation, dof
+        As in `log_normal_likelihood`.
+
+    Returns
+    -------
+    likelihood : Likelihood
+        The likelihood.
+
+    Raises
+    ------
+    InputError
+        If the name is not known, or the data are invalid.
+    NotPositiveDefiniteError
+        If the noise of the reduced data is singular.
+    """
+    maker = LIKELIHOODS[check_choice(name, tuple(LIKELIHOODS), what="likelihood")]
+    return maker(variance, used, gain, covariance, offset, inflation=inflation, dof=dof)

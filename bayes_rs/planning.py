@@ -11,7 +11,7 @@ from bayes_rs.mann import MannTurbulence
 from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.noise_store import find_shipped_noise
 from bayes_rs.prior import Prior, make_prior
-from bayes_rs.sampling import N_CHAIN
+from bayes_rs.sampling.chains import N_CHAIN
 from bayes_rs.scan import Scan
 from bayes_rs.theory import theory_noise
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.likelihood import LogNormalLikelihood
-from bayes_rs.prior import N_COORDINATE, Prior
+from bayes_rs.posterior import Posterior
 
 DEGREES_OF_FREEDOM = 6.0
 _FLAT_ENOUGH = 1e-3
@@ -26,10 +26,10 @@ class StudentProposal:
 
     Parameters
     ----------
-    mode : ndarray, shape (n_record, 6)
-        Centre, in the prior's coordinates.
-    factor : ndarray, shape (n_record, 6, 6)
-        Upper triangular F with precision Fᵀ F.
+    mode : ndarray, shape (n_record, n)
+        Centre, in the posterior's coordinates.
+    factor : ndarray, shape (n_record, n, n)
+        Triangular F with precision Fᵀ F.
     n_iteration : int
         Gauss–Newton iterations that the slowest record took.
     """
@@ -39,39 +39,53 @@ class StudentProposal:
     n_iteration: int
 
     def transform(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
-        """Turn normal (n_record, n_draw, 6) and χ² (n_record, n_draw) numbers into draws (n_record, n_draw, 6)."""
+        """Turn normal (n_record, n_draw, n) and χ² (n_record, n_draw) numbers into draws (n_record, n_draw, n)."""
         scaled = normal * np.sqrt(DEGREES_OF_FREEDOM / chi_square)[..., None]
-        shift = np.linalg.solve(self.factor, scaled.swapaxes(-1, -2)).swapaxes(-1, -2)
-        return np.asarray(self.mode[:, None, :] + shift)
+        # one small triangular system a record, then a product with all its draws
+        root = np.linalg.solve(self.factor, np.eye(self.factor.shape[-1])).swapaxes(-1, -2)
+        return np.asarray(self.mode[:, None, :] + scaled @ root)
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
-        """Return the log-density, shape (n_record, n_draw), at coordinates (n_record, n_draw, 6)."""
+        """Return the log-density, shape (n_record, n_draw), at coordinates (n_record, n_draw, n)."""
         whitened = (coordinate - self.mode[:, None, :]) @ self.factor.swapaxes(-1, -2)
-        square = np.einsum("rdk,rdk->rd", whitened, whitened)
-        half = 0.5 * (DEGREES_OF_FREEDOM + N_COORDINATE)
-        constant = gammaln(half) - gammaln(0.5 * DEGREES_OF_FREEDOM) - 3.0 * np.log(DEGREES_OF_FREEDOM * np.pi)
+        return self._density(np.einsum("rdk,rdk->rd", whitened, whitened))
+
+    def log_density_of(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
+        """Return the log-density, shape (n_record, n_draw), of the draws that `transform` makes of these numbers."""
+        return self._density(np.einsum("rdk,rdk->rd", normal, normal) * (DEGREES_OF_FREEDOM / chi_square))
+
+    def _density(self, square: FloatArray) -> FloatArray:
+        n = self.mode.shape[-1]
+        half = 0.5 * (DEGREES_OF_FREEDOM + n)
+        constant = gammaln(half) - gammaln(0.5 * DEGREES_OF_FREEDOM) - 0.5 * n * np.log(DEGREES_OF_FREEDOM * np.pi)
         log_volume = np.log(np.abs(np.einsum("rkk->rk", self.factor))).sum(axis=1)
         return np.asarray(constant + log_volume[:, None] - half * np.log1p(square / DEGREES_OF_FREEDOM))
 
-    def take(self, records: np.ndarray[tuple[int], np.dtype[np.int64]]) -> StudentProposal:
+    def take(self, records: NDArray[np.int64]) -> StudentProposal:
         """Return the proposal of some of the records."""
         return StudentProposal(self.mode[records], self.factor[records], self.n_iteration)
 
+    def refitted(self, records: NDArray[np.int64], mean: FloatArray, covariance: FloatArray) -> StudentProposal:
+        """Return the proposal with another mean (n, k) and covariance (n, k, k) for some of the records.
 
-def log_posterior(likelihood: LogNormalLikelihood, prior: Prior, coordinate: FloatArray) -> FloatArray:
-    """Return the log-posterior up to a constant, shape (n_record, n_draw), at coordinates (n_record, n_draw, 6)."""
-    return likelihood.log_density(prior.stress(coordinate)) + prior.log_density(coordinate)
+        A covariance that is not that of a spread in all directions says nothing: such a record keeps its proposal.
+        """
+        mode, factor = self.mode.copy(), self.factor.copy()
+        spread = np.linalg.eigvalsh(covariance)[:, 0] > 1e-8
+        mode[records[spread]] = mean[spread]
+        root = np.linalg.cholesky(covariance[spread])
+        # F with Fᵀ F = C⁻¹ is the inverse of C's Cholesky factor: lower triangular serves as well
+        factor[records[spread]] = np.linalg.solve(root, np.eye(root.shape[-1]))
+        return StudentProposal(mode, factor, self.n_iteration)
 
 
-def laplace_proposal(likelihood: LogNormalLikelihood, prior: Prior, *, max_iteration: int = 30) -> StudentProposal:
+def laplace_proposal(posterior: Posterior, *, max_iteration: int = 30) -> StudentProposal:
     """Find the mode of every record's posterior and the curvature there.
 
     Parameters
     ----------
-    likelihood : LogNormalLikelihood
-        Likelihood of n_record records.
-    prior : Prior
-        The prior.
+    posterior : Posterior
+        Posterior of n_record records.
     max_iteration : int
         Bound on the Levenberg–Marquardt iterations. A record that has not converged by then keeps its best point: the
         proposal is then poorer, the sampler corrects for it, and the acceptance shows it.
@@ -81,20 +95,20 @@ def laplace_proposal(likelihood: LogNormalLikelihood, prior: Prior, *, max_itera
     proposal : StudentProposal
         Mode, and as precision JᵀJ − ∂²ln p(φ), with J the Jacobian of the whitened residuals and p the prior's density.
     """
-    n_record = len(likelihood.datum)
-    mode = np.zeros((n_record, N_COORDINATE))
-    damping = np.full(n_record, 1e-3)
-    height = log_posterior(likelihood, prior, mode[:, None, :])[:, 0]
-    identity = np.eye(N_COORDINATE)
-    going = np.arange(n_record)  # each record stops by itself, so that its proposal does not depend on the others
+    n = posterior.n_coordinate
+    mode = np.zeros((posterior.n_record, n))
+    damping = np.full(len(mode), 1e-3)
+    height = posterior.log_density(mode[:, None, :])[:, 0]
+    identity = np.eye(n)
+    going = np.arange(len(mode))  # each record stops by itself, so that its proposal does not depend on the others
     n_iteration = 0
     while len(going) and n_iteration < max_iteration:
         n_iteration += 1
-        part = likelihood.take(going)
-        gradient, precision = _curvature(part, prior, mode[going])
+        part = posterior.take(going)
+        gradient, precision = _curvature(part, mode[going])
         step = np.linalg.solve(precision + damping[going, None, None] * identity, gradient[..., None])[..., 0]
         trial = mode[going] + step
-        trial_height = log_posterior(part, prior, trial[:, None, :])[:, 0]
+        trial_height = part.log_density(trial[:, None, :])[:, 0]
         better = trial_height > height[going]
         converged = np.where(
             better, trial_height - height[going] < _FLAT_ENOUGH, np.abs(step).max(axis=1) < _FLAT_ENOUGH
@@ -103,21 +117,23 @@ def laplace_proposal(likelihood: LogNormalLikelihood, prior: Prior, *, max_itera
         height[going[better]] = trial_height[better]
         damping[going] = np.where(better, 0.1 * damping[going], 10.0 * np.maximum(damping[going], 1e-2))
         going = going[~converged]
-    _, precision = _curvature(likelihood, prior, mode)
+    _, precision = _curvature(posterior, mode)
     factor = np.asarray(np.linalg.cholesky(precision), dtype=np.float64).swapaxes(-1, -2)
     return StudentProposal(mode, factor, n_iteration)
 
 
-def _curvature(likelihood: LogNormalLikelihood, prior: Prior, mode: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return gradient (n_record, 6) and Gauss–Newton precision (n_record, 6, 6) of the log-posterior at the mode."""
-    shift = _STEP * np.concatenate([np.zeros((1, N_COORDINATE)), np.eye(N_COORDINATE), -np.eye(N_COORDINATE)])
+def _curvature(posterior: Posterior, mode: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return gradient (n_record, n) and Gauss–Newton precision (n_record, n, n) of the log-posterior at the mode."""
+    n = posterior.n_coordinate
+    shift = _STEP * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
     around = mode[:, None, :] + shift
-    residual = likelihood.whitened_residual(prior.stress(around))
-    forward, backward = slice(1, N_COORDINATE + 1), slice(N_COORDINATE + 1, None)
-    jacobian = (residual[:, forward] - residual[:, backward]) / (2.0 * _STEP)  # (record, 6, seen)
-    log_prior = prior.log_density(around)
-    slope = (log_prior[:, forward] - log_prior[:, backward]) / (2.0 * _STEP)
+    stress, offset = posterior.seen(around)
+    residual = posterior.likelihood.whitened_residual(stress, offset)
+    forward, backward = slice(1, n + 1), slice(n + 1, None)
+    jacobian = (residual[:, forward] - residual[:, backward]) / (2.0 * _STEP)  # (record, n, seen)
+    log_prior = posterior.log_prior(around)
+    height = posterior.likelihood.log_density(stress, offset) + log_prior
+    gradient = (height[:, forward] - height[:, backward]) / (2.0 * _STEP)
     bend = (log_prior[:, forward] + log_prior[:, backward] - 2.0 * log_prior[:, :1]) / _STEP**2
-    gradient = slope - np.einsum("rks,rs->rk", jacobian, residual[:, 0])
-    precision = jacobian @ jacobian.swapaxes(-1, -2) + np.eye(N_COORDINATE) * np.maximum(-bend, _LEAST_BEND)[:, None, :]
+    precision = jacobian @ jacobian.swapaxes(-1, -2) + np.eye(n) * np.maximum(-bend, _LEAST_BEND)[:, None, :]
     return gradient, precision

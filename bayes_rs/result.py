@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
+from bayes_rs.batch import RecordDraws
 from bayes_rs.errors import InputError
 from bayes_rs.forward import sight
 from bayes_rs.noise import NoiseBank, NoiseModel
+from bayes_rs.nuisance import UNITS
 from bayes_rs.prior import Prior
-from bayes_rs.sampling import N_WALKER
+from bayes_rs.sampling.chains import N_WALKER
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
 
@@ -27,42 +27,14 @@ FLAGS: dict[str, int] = {
     "yaw_not_seen": 8,
     "short_chain": 16,
     "ensembles_differ": 32,
+    "weights_uneven": 64,
+    "contradicts_model": 128,
 }
 """Bits of a record's flag in the result; the first two mean that the record was not fitted."""
 
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a result, for its outline in figures and for contraction."""
 _PRIOR_SEED = 0
-
-
-@dataclass(frozen=True)
-class RecordDraws:
-    """Draws and diagnostics of some records.
-
-    Parameters
-    ----------
-    stress : ndarray, shape (n_record, n_chain, n_draw, 6)
-        Stresses, m² s⁻².
-    predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
-        Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
-    ess_bulk, ess_tail, r_hat : ndarray, shape (n_record, 6)
-        Diagnostics of the stresses.
-    autocorrelation_time : ndarray, shape (n_record, 6)
-        In sampler steps.
-    acceptance : ndarray, shape (n_record,)
-        Share of proposals that were accepted.
-    n_step : ndarray of int, shape (n_record,)
-        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
-    """
-
-    stress: FloatArray
-    predicted: FloatArray
-    ess_bulk: FloatArray
-    ess_tail: FloatArray
-    r_hat: FloatArray
-    autocorrelation_time: FloatArray
-    acceptance: FloatArray
-    n_step: NDArray[np.int64]
 
 
 def flag_words(flag: int) -> str:
@@ -115,11 +87,18 @@ def assemble(
     groups: dict[str, xr.Dataset] = {}
     unit = {"units": "m2 s-2"}
     if draws is not None:
-        n_chain = draws.stress.shape[1]
+        chains = draws.chains
+        n_chain, n_draw = chains.stress.shape[1:3]
         chain = {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // N_WALKER)}
         groups["posterior"] = xr.Dataset(
-            {"stress": (("chain", "draw", "record", "component"), spread(draws.stress, 2), unit)},
-            coords={**stress_coords, **chain, "draw": np.arange(draws.stress.shape[2])},
+            {
+                "stress": (("chain", "draw", "record", "component"), spread(chains.stress, 2), unit),
+                **{
+                    name: (("chain", "draw", "record"), spread(values, 2), {"units": UNITS[name]})
+                    for name, values in draws.nuisances.items()
+                },
+            },
+            coords={**stress_coords, **chain, "draw": np.arange(n_draw)},
         )
         groups["posterior_predictive"] = xr.Dataset(
             {"variance": (("chain", "draw", "record", "beam"), spread(draws.predicted, 2), unit)},
@@ -127,16 +106,19 @@ def assemble(
         )
         groups["sample_stats"] = xr.Dataset(
             {
-                "ess_bulk": (("record", "component"), spread(draws.ess_bulk, 0)),
-                "ess_tail": (("record", "component"), spread(draws.ess_tail, 0)),
-                "r_hat": (("record", "component"), spread(draws.r_hat, 0)),
+                "ess_bulk": (("record", "component"), spread(chains.ess_bulk, 0)),
+                "ess_tail": (("record", "component"), spread(chains.ess_tail, 0)),
+                "r_hat": (("record", "component"), spread(chains.r_hat, 0)),
                 "autocorrelation_time": (
                     ("record", "component"),
-                    spread(draws.autocorrelation_time, 0),
+                    spread(chains.autocorrelation_time, 0),
                     {"units": "sampler steps"},
                 ),
-                "acceptance_rate": (("record",), spread(draws.acceptance, 0)),
-                "n_step": (("record",), spread(draws.n_step.astype(np.float64), 0)),
+                "acceptance_rate": (("record",), spread(chains.acceptance, 0)),
+                "n_step": (("record",), spread(chains.n_step.astype(np.float64), 0)),
+                "pareto_k": (("record",), spread(chains.pareto_k, 0)),
+                "misfit": (("record",), spread(draws.misfit, 0), {"units": "standard deviations"}),
+                "sampler": (("record",), _named(chains.sampler, fitted, n_record)),
             },
             coords=stress_coords,
         )
@@ -176,6 +158,13 @@ def assemble(
         "noise": json.dumps(_noise_summary(noise)),
     }
     return tree
+
+
+def _named(names: NDArray[np.str_], fitted: NDArray[np.int64], n_record: int) -> NDArray[np.object_]:
+    """Put the samplers' names among all records; empty for records that were not fitted."""
+    full = np.full(n_record, "", dtype=object)
+    full[fitted] = names.astype(object)
+    return full
 
 
 def group(result: xr.DataTree, name: str) -> xr.Dataset:

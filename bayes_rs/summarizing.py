@@ -12,7 +12,7 @@ from bayes_rs import diagnostics
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.result import check_result, flag_words, group
-from bayes_rs.sampling import N_ENSEMBLE
+from bayes_rs.sampling.chains import N_ENSEMBLE
 from bayes_rs.stress import STRESSES, principal_variances
 
 COLUMNS: tuple[str, ...] = (

@@ -1,5 +1,6 @@
 """Fixtures that several test files share."""
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -12,3 +13,11 @@ def iea_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"NOT TESTED ON MEASURED DATA: no folder {folder}, see ../shared/data/iea-round-robin/README.md")
     return folder
+
+
+@pytest.fixture(scope="session")
+def arviz():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
+        import arviz  # noqa: PLC0415
+    return arviz

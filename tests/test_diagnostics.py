@@ -30,16 +30,6 @@ def cases():
     )
 
 
-@pytest.fixture(scope="module")
-def arviz():
-    import warnings  # noqa: PLC0415
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
-        import arviz  # noqa: PLC0415
-    return arviz
-
-
 class TestAgainstArviz:
     def test_bulk_ess(self, cases, arviz):
         expected = [arviz.ess(case, method="bulk") for case in cases]

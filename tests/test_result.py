@@ -12,16 +12,6 @@ from bayes_rs.result import FLAGS, N_PRIOR_DRAW, check_result, group
 
 
 @pytest.fixture(scope="module")
-def arviz():
-    import warnings  # noqa: PLC0415
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
-        import arviz  # noqa: PLC0415
-    return arviz
-
-
-@pytest.fixture(scope="module")
 def scene():
     """Three records: 0 as it should be, 1 without a beam, 2 with one beam fewer."""
     scan = load_scan("6-beam")

@@ -15,16 +15,6 @@ DERIVED = ("ti", "tke", "friction_velocity", "anisotropy_2", "anisotropy_3")
 
 
 @pytest.fixture(scope="module")
-def arviz():
-    import warnings  # noqa: PLC0415
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
-        import arviz  # noqa: PLC0415
-    return arviz
-
-
-@pytest.fixture(scope="module")
 def result():
     """Four records of six beams: 0 and 3 as they should be, 1 without a beam, 2 with one beam fewer."""
     scan = load_scan("6-beam")

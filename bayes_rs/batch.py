@@ -1,0 +1,249 @@
+"""One batch of records, from variances and noise to draws of their posteriors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.likelihood import Likelihood, make_likelihood
+from bayes_rs.mixture_likelihood import MixtureLikelihood
+from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise
+from bayes_rs.nuisance import Nuisances, RecordNuisances
+from bayes_rs.posterior import Posterior
+from bayes_rs.prior import Prior
+from bayes_rs.sampling import sample
+from bayes_rs.sampling.chains import BLOCK, Chains
+from bayes_rs.sampling.streams import RecordStreams
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """What is the same for all records of a fit.
+
+    Parameters
+    ----------
+    prior : Prior
+        The prior of R.
+    target : str
+        Which R.
+    sampler, likelihood : str
+        Their names.
+    nuisances : Nuisances
+        What is uncertain beside R.
+    instrument_noise : float
+        Variance that the instrument adds to each radial variance, m² s⁻².
+    target_ess, max_extension : int
+        Effective sample size to reach, and how often a chain may be doubled for it.
+    seed : int
+        Seed of the fit.
+    """
+
+    prior: Prior
+    target: str
+    sampler: str
+    likelihood: str
+    nuisances: Nuisances
+    instrument_noise: float
+    target_ess: int
+    max_extension: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The data of some records.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (n_record, n_beam)
+        Radial variances, m² s⁻².
+    used : ndarray of bool, shape (n_record, n_beam)
+        Which of them count.
+    wind_speed : ndarray, shape (n_record,)
+        Mean wind speed, m/s.
+    yaw : ndarray, shape (n_record,)
+        Wind direction relative to the lidar axis, rad.
+    key : ndarray of int, shape (n_record,)
+        What makes each record's random stream its own.
+    flow : dict of str to ndarray, shape (n_record,)
+        The records' own ``length_scale`` (m) and ``gamma``, where they have them.
+    """
+
+    variance: FloatArray
+    used: NDArray[np.bool_]
+    wind_speed: FloatArray
+    yaw: FloatArray
+    key: NDArray[np.int64]
+    flow: dict[str, FloatArray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of records."""
+        return len(self.variance)
+
+    def take(self, records: NDArray[np.int64] | slice) -> Batch:
+        """Return some of the records."""
+        return Batch(
+            self.variance[records],
+            self.used[records],
+            self.wind_speed[records],
+            self.yaw[records],
+            self.key[records],
+            {name: values[records] for name, values in self.flow.items()},
+        )
+
+
+@dataclass(frozen=True)
+class RecordDraws:
+    """Draws and diagnostics of some records.
+
+    Parameters
+    ----------
+    chains : Chains
+        The draws.
+    nuisances : dict of str to ndarray, shape (n_record, n_chain, n_draw)
+        Draws of the sampled nuisances, in the units of `bayes_rs.nuisance.UNITS`.
+    predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
+        Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
+    misfit : ndarray, shape (n_record,)
+        Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
+    outside : ndarray of bool, shape (n_record,)
+        Whether the noise bank does not reach to the record.
+    """
+
+    chains: Chains
+    nuisances: dict[str, FloatArray]
+    predicted: FloatArray
+    misfit: FloatArray
+    outside: NDArray[np.bool_]
+
+
+def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, *, predict: bool = True) -> RecordDraws:
+    """Sample the posteriors of a batch of records.
+
+    Parameters
+    ----------
+    batch : Batch
+        Records with at least one usable beam, a wind speed and a direction.
+    noise : NoiseModel or NoiseBank
+        Noise of the beams of the batch.
+    options : FitOptions
+        What is the same for all.
+    predict : bool
+        Draw from the posterior predictive distribution, too.
+
+    Returns
+    -------
+    draws : RecordDraws
+        Bit by bit the same whatever other records are in the batch.
+    """
+    posterior, at_record = make_posterior(batch, noise, options)
+    chains, streams = sample(
+        options.sampler,
+        posterior,
+        seed=options.seed,
+        keys=batch.key,
+        target_ess=options.target_ess,
+        max_extension=options.max_extension,
+    )
+    some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK]
+    flat = some.reshape(len(batch), -1, some.shape[-1])
+    expected = posterior.likelihood.expected(*posterior.seen(flat))
+    log_covariance = options.nuisances.inflation * np.log1p(at_record.covariance)
+    n_beam = batch.variance.shape[1]
+    predicted = np.full((*some.shape[:3], n_beam if predict else 0), np.nan)
+    if predict:
+        root = _symmetric_root(log_covariance, at_record.state)
+        predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
+    whole = chains.coordinate.reshape(len(batch), -1, some.shape[-1])
+    return RecordDraws(
+        chains,
+        {
+            name: values.reshape(chains.coordinate.shape[:3])
+            for name, values in posterior.nuisance_values(whole).items()
+        },
+        predicted,
+        _misfit(expected, np.einsum("rbb->rb", log_covariance), batch),
+        at_record.outside,
+    )
+
+
+def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> tuple[Posterior, RecordNoise]:
+    """Return the posterior of a batch, and the noise of its records (at the median length scale)."""
+    factors, weights = options.nuisances.length_scale_nodes()
+    parts: list[Likelihood] = []
+    for factor in factors:
+        at_node = _noise_of(noise, batch, options.nuisances, float(factor))
+        gain = at_node.gain
+        if options.target == "ensemble":
+            gain = gain * (1.0 + at_node.bias)[:, :, None]
+        certain = options.nuisances.instrument_noise_log_sd == 0.0
+        parts.append(
+            make_likelihood(
+                options.likelihood,
+                batch.variance,
+                batch.used,
+                gain,
+                at_node.covariance,
+                options.instrument_noise if certain else 0.0,
+                inflation=options.nuisances.inflation,
+                dof=options.nuisances.inflation_dof,
+            )
+        )
+        if factor == 1.0:
+            at_record = at_node
+    likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, options.instrument_noise)
+    return Posterior(likelihood, options.prior, nuisances), at_record
+
+
+def _noise_of(noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
+    """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
+    own = dict(batch.flow)
+    if nuisances.length_scale_log_sd > 0.0:
+        if isinstance(noise, NoiseModel) or np.ptp(np.log(noise.length_scale)) == 0.0:
+            raise InputError(
+                "The noise knows one length scale only, so it cannot be averaged over others: make a bank with "
+                "theory_bank(..., length_scale=[shortest, longest])."
+            )
+        if nuisances.length_scale is not None:
+            own["length_scale"] = np.full(len(batch), nuisances.length_scale)
+        elif "length_scale" not in own:
+            raise InputError(
+                "The median length scale is not known: give Nuisances a length_scale, or the records a variable of "
+                "that name."
+            )
+        own["length_scale"] = factor * own["length_scale"]
+    if isinstance(noise, NoiseModel):
+        return noise.for_records(batch.wind_speed, batch.yaw)
+    return noise.for_records(batch.wind_speed, batch.yaw, **own)
+
+
+def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], streams: RecordStreams) -> FloatArray:
+    """Draw radial variances, shape (n_record, n_draw, n_beam), from the posterior predictive distribution."""
+    n_record, n_draw, n_beam = expected.shape
+    normal = streams.normal(np.arange(n_record), (n_draw, n_beam))
+    half_variance = 0.5 * np.einsum("rbk,rbk->rb", root, root)
+    log_noise = normal @ root.swapaxes(-1, -2) - half_variance[:, None, :]
+    return np.where(used[:, None, :], expected * np.exp(log_noise), np.nan)
+
+
+def _misfit(expected: FloatArray, log_variance: FloatArray, batch: Batch) -> FloatArray:
+    """Return the largest standardized distance of a used beam from its prediction, shape (n_record,)."""
+    log_mean = np.log(expected)
+    centre = log_mean.mean(axis=1) - 0.5 * log_variance
+    spread = np.sqrt(log_mean.var(axis=1) + log_variance)
+    distance = np.abs(np.log(np.where(batch.used, batch.variance, 1.0)) - centre) / spread
+    return np.asarray(np.where(batch.used, distance, 0.0).max(axis=1))
+
+
+def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArray:
+    """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
+    _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
+    values, vectors = np.linalg.eigh(matrices[first])
+    # eigenvalues below zero are rounding: NoiseModel has refused anything more
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
+    return np.asarray(roots[inverse.reshape(-1)])

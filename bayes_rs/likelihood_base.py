@@ -1,0 +1,216 @@
+"""What all likelihoods of beam variances share: the interface, the reduction of the data, and the tails."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.forward import RANK_TOLERANCE
+
+REFERENCE_STRESS = np.array([1.0, 0.5, 0.27, 0.0, -0.15, 0.0])
+"""Shape of R at which the data are reduced: near neutral flow. Another choice moves weight between beams, not truth."""
+
+
+class Likelihood(ABC):
+    """The narrow interface of all likelihoods: many records at once, each with the same number of draws.
+
+    A likelihood is a frozen dataclass whose arrays have the records as first dimension.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (n_record, n_beam, 6)
+        E[y] = gain · stresses + offset; rows of beams that a record does not use are zero.
+    offset : ndarray, shape (n_record, n_beam)
+        Variance of the instrument's own noise, m² s⁻²; 1 for beams that a record does not use.
+    n_datum : ndarray of int, shape (n_record,)
+        Number of independent numbers that the record's variances were reduced to.
+    dof : float
+        Degrees of freedom ν of the noise. If finite, it is a multivariate Student-t with the noise's covariance as
+        scale matrix: the normal, integrated over a common factor of the covariance whose prior is inverse gamma,
+        ν/χ²_ν.
+    """
+
+    gain: FloatArray
+    offset: FloatArray
+    n_datum: NDArray[np.int64]
+    dof: float
+
+    @property
+    def n_record(self) -> int:
+        """Number of records."""
+        return len(self.gain)
+
+    @abstractmethod
+    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
+
+        `offset`, shape (n_record, n_draw), is the variance of instrument noise (m² s⁻²) that each draw adds to all
+        beams. A tensor that gives a beam no variance, or a negative one, has likelihood zero.
+        """
+
+    @abstractmethod
+    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+        """Return residuals, shape (n_record, n_draw, n_seen): half the sum of their squares is −log_density + const."""
+
+    def expected(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+        """Return the expected variances of the beams, shape (n_record, n_draw, n_beam), m² s⁻²."""
+        return expected_variance(stress, offset, self.gain, self.offset)
+
+    def take(self, records: NDArray[np.int64]) -> Self:
+        """Return the likelihood of some of the records."""
+        whole: Any = self
+        parts = {field.name: getattr(self, field.name) for field in fields(whole)}
+        arrays = {name: value[records] for name, value in parts.items() if isinstance(value, np.ndarray)}
+        return cast("Self", replace(whole, **arrays))
+
+
+def expected_variance(
+    stress: FloatArray, offset: FloatArray | None, gain: FloatArray, own_offset: FloatArray
+) -> FloatArray:
+    """Return gain · stress + own_offset (+ offset), shape (n_record, n_draw, n_beam)."""
+    mean = stress @ gain.swapaxes(-1, -2) + own_offset[:, None, :]
+    return np.asarray(mean if offset is None else mean + offset[:, :, None])
+
+
+@dataclass(frozen=True)
+class BeamData:
+    """The checked data of many records.
+
+    Parameters
+    ----------
+    gain, offset : ndarray
+        As in `Likelihood`.
+    used : ndarray of bool, shape (n_record, n_beam)
+        Which variances count.
+    variance : ndarray, shape (n_record, n_beam)
+        Radial variances, m² s⁻²; 1 for beams that a record does not use.
+    """
+
+    gain: FloatArray
+    offset: FloatArray
+    used: NDArray[np.bool_]
+    variance: FloatArray
+
+    def relative_covariance(self, covariance: FloatArray) -> FloatArray:
+        """Return K with zeros for beams that are not used."""
+        return np.where(self.used[:, :, None] & self.used[:, None, :], covariance, 0.0)
+
+
+def beam_data(
+    variance: FloatArray, used: NDArray[np.bool_], gain: FloatArray, offset: FloatArray | float = 0.0
+) -> BeamData:
+    """Check variances, and mask what is not used.
+
+    Raises
+    ------
+    InputError
+        If a record uses no beam, or a used variance is not positive.
+    """
+    idle = np.flatnonzero(~used.any(axis=1))
+    if len(idle):
+        raise InputError(f"Record {idle[0]} has no usable beam: leave such records out before the likelihood is built.")
+    bad = np.argwhere(used & ~(variance > 0.0))
+    if len(bad):
+        record, beam = (int(i) for i in bad[0])
+        raise InputError(
+            f"Invalid variance {variance[record, beam]} of record {record}, beam {beam}: it must be positive; "
+            "flag the beam."
+        )
+    return BeamData(
+        gain=np.where(used[:, :, None], gain, 0.0),
+        offset=np.where(used, np.broadcast_to(np.asarray(offset, dtype=np.float64), variance.shape), 1.0),
+        used=used,
+        variance=np.where(used, variance, 1.0),
+    )
+
+
+def seen_directions(relative_gain: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return what of the data the stresses can move.
+
+    Parameters
+    ----------
+    relative_gain : ndarray, shape (n_record, n_beam, 6)
+        ∂ ln E[y]/∂R at some R.
+
+    Returns
+    -------
+    left : ndarray, shape (n_record, n_beam, n)
+        Orthonormal basis U of its column space; columns that a record does not need are zero.
+    seen : ndarray of bool, shape (n_record, n)
+        Which columns it needs.
+    """
+    left, singular, _ = np.linalg.svd(relative_gain, full_matrices=False)
+    seen = singular > RANK_TOLERANCE * singular[:, :1]
+    return left * seen[:, None, :], seen
+
+
+def factor_reduced(reduced: FloatArray, seen: NDArray[np.bool_], n_beam: int, *, what: str) -> FloatArray:
+    """Return Cholesky factors of the reduced data's covariances, with unit pivots for what a record does not see.
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        If one is singular: the noise model says that a combination of stresses is known without error.
+    """
+    # directions that a record does not have get a unit pivot and a zero row: no part in residual and determinant
+    whole = reduced + unit_pivots(seen)
+    smallest = np.min(np.linalg.eigvalsh(whole), axis=-1)
+    worst = int(np.argmin(smallest))
+    if smallest[worst] <= n_beam * np.finfo(np.float64).eps * np.max(np.abs(reduced[worst])):
+        raise NotPositiveDefiniteError(
+            f"The noise of record {worst} is singular: the smallest eigenvalue of its reduced {what} is "
+            f"{smallest[worst]:.3g} and must be positive; use a noise model with more realizations, or fewer beams.",
+            smallest_eigenvalue=float(smallest[worst]),
+        )
+    return np.asarray(np.linalg.cholesky(whole))
+
+
+def unit_pivots(seen: NDArray[np.bool_]) -> FloatArray:
+    """Return diagonal matrices with 1 where a direction is not seen."""
+    return np.asarray(np.eye(seen.shape[1]) * np.where(seen, 0.0, 1.0)[:, None, :])
+
+
+def check_tails(inflation: float, dof: float) -> None:
+    """Check the two options that widen the noise.
+
+    Raises
+    ------
+    InputError
+        If one is not above zero.
+    """
+    if not (np.isfinite(inflation) and inflation > 0.0):
+        raise InputError(f"Invalid inflation {inflation!r}: it must be a finite number above zero; 1 changes nothing.")
+    if not dof > 0.0:
+        raise InputError(f"Invalid dof {dof!r}: it must be above zero; infinity means normal noise.")
+
+
+def log_normalizer(n_datum: NDArray[np.int64], log_determinant: FloatArray, dof: float) -> FloatArray:
+    """Return the log of the constant factor of the normal or Student-t; shapes as those of `log_determinant`."""
+    if np.isinf(dof):
+        return np.asarray(-0.5 * (log_determinant + n_datum * np.log(2.0 * np.pi)))
+    of_tails = gammaln(0.5 * (dof + n_datum)) - gammaln(0.5 * dof) - 0.5 * n_datum * np.log(dof * np.pi)
+    return np.asarray(of_tails - 0.5 * log_determinant)
+
+
+def half_square(square: FloatArray, n_datum: NDArray[np.int64], dof: float) -> FloatArray:
+    """Return ½s for the normal, ½(ν + n) ln(1 + s/ν) for the Student-t, of s (n_record, n_draw)."""
+    if np.isinf(dof):
+        return 0.5 * square
+    return np.asarray(0.5 * (dof + n_datum[:, None]) * np.log1p(square / dof))
+
+
+def with_tails(residual: FloatArray, n_datum: NDArray[np.int64], dof: float) -> FloatArray:
+    """Shorten normal residuals (n_record, n_draw, n_seen) so that half their square is the Student-t's exponent."""
+    if np.isinf(dof):
+        return residual
+    ratio = np.einsum("rds,rds->rd", residual, residual) / dof
+    # ln(1 + x)/x; below 1e-8 it is 1 to rounding
+    slope = np.where(ratio > 1e-8, np.log1p(ratio) / np.maximum(ratio, 1e-8), 1.0)
+    return np.asarray(residual * np.sqrt((dof + n_datum[:, None]) / dof * slope)[:, :, None])

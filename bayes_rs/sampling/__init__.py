@@ -1,0 +1,86 @@
+"""The samplers, by name: all give the same posterior.
+
+This package is the only place that imports emcee.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs.posterior import Posterior
+from bayes_rs.sampling.chains import Chains
+from bayes_rs.sampling.direct import sample_direct
+from bayes_rs.sampling.ensemble import sample_emcee
+from bayes_rs.sampling.plain import sample_plain
+from bayes_rs.sampling.streams import RecordStreams
+
+_AUTO_EXTENSION = 2
+"""How often ``auto`` doubles the direct draws of a record before it hands it to emcee."""
+
+
+def sample_auto(
+    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
+) -> Chains:
+    """Draw directly, and sample with emcee the records whose weights are too uneven; `Chains.sampler` says which."""
+    chains = sample_direct(
+        posterior,
+        streams=streams,
+        seed=seed,
+        target_ess=target_ess,
+        max_extension=min(max_extension, _AUTO_EXTENSION),
+    )
+    left = np.flatnonzero(chains.missed(target_ess))
+    if len(left):
+        again = sample_emcee(
+            posterior.take(left),
+            streams=streams.take(left),
+            seed=seed,
+            target_ess=target_ess,
+            max_extension=max_extension,
+        )
+        chains.put(left, again)
+    return chains
+
+
+SAMPLERS: dict[str, Callable[..., Chains]] = {
+    "emcee": sample_emcee,
+    "direct": sample_direct,
+    "auto": sample_auto,
+    "emcee-plain": sample_plain,
+}
+"""The samplers by name: (posterior, *, streams, seed, target_ess, max_extension) → Chains."""
+
+
+def sample(
+    name: str, posterior: Posterior, *, seed: int, keys: NDArray[np.int64], target_ess: int, max_extension: int
+) -> tuple[Chains, RecordStreams]:
+    """Sample records with the sampler of that name; also return their streams, for what is drawn after.
+
+    Parameters
+    ----------
+    name : str
+        One of `SAMPLERS`.
+    posterior : Posterior
+        Posterior of n_record records.
+    seed : int
+        Seed of the fit.
+    keys : ndarray of int, shape (n_record,)
+        What makes each record's random stream its own.
+    target_ess : int
+        Bulk effective sample size to reach for every stress.
+    max_extension : int
+        How often a record's chain may be doubled.
+
+    Returns
+    -------
+    chains : Chains
+        The draws.
+    streams : RecordStreams
+        The records' streams.
+    """
+    streams = RecordStreams(seed, keys)
+    made = SAMPLERS[name](posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
+    return made, streams
