@@ -201,14 +201,58 @@ def highest_density_interval(draws: FloatArray, prob: float) -> tuple[FloatArray
     """
     if not 0.0 < prob < 1.0:
         raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    ordered = np.sort(draws, axis=-1)
+    low, high, _ = interval_of_ordered(np.sort(draws, axis=-1), prob)
+    return low, high
+
+
+def interval_of_ordered(ordered: FloatArray, prob: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the shortest interval that holds a share of draws in order, and the share of draws below it.
+
+    Parameters
+    ----------
+    ordered : ndarray, shape (..., n_draw)
+        Draws, smallest first.
+    prob : float
+        Share of the draws.
+
+    Returns
+    -------
+    low, high, below : ndarray, shape (...)
+        Ends of the interval, and the share of draws below it.
+    """
     n_draw = ordered.shape[-1]
     span = int(np.floor(prob * n_draw))
     width = ordered[..., span:] - ordered[..., : n_draw - span]
     start = np.argmin(width, axis=-1)[..., None]
     low = np.take_along_axis(ordered, start, axis=-1)[..., 0]
     high = np.take_along_axis(ordered, start + span, axis=-1)[..., 0]
-    return low, high
+    return low, high, start[..., 0] / n_draw
+
+
+def quantile_error(ordered: FloatArray, level: FloatArray, ess: FloatArray) -> FloatArray:
+    """Return the Monte-Carlo standard error of quantiles.
+
+    Parameters
+    ----------
+    ordered : ndarray, shape (..., n_draw)
+        Draws, smallest first.
+    level : ndarray, shape (...)
+        Probabilities of the quantiles.
+    ess : ndarray, shape (...)
+        Effective sample size.
+
+    Returns
+    -------
+    error : ndarray, shape (...)
+        Half the distance of the draws that are one binomial standard deviation, √(p (1 − p)/n), to both sides of the
+        level.
+    """
+    spread = np.sqrt(np.maximum(level * (1.0 - level), 0.0) / ess)
+    last = ordered.shape[-1] - 1
+    spread = np.where(np.isfinite(spread), spread, 0.0)
+    at = [np.rint(np.clip(level + side * spread, 0.0, 1.0) * last).astype(np.int64) for side in (-1.0, 1.0)]
+    ends = [np.take_along_axis(ordered, place[..., None], axis=-1)[..., 0] for place in at]
+    return np.where(np.isfinite(ess), 0.5 * (ends[1] - ends[0]), np.nan)
 
 
 _FEW_LAGS = 16

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayes_rs import diagnostics
-from bayes_rs._validation import FloatArray, check_choice
+from bayes_rs._validation import FloatArray
+from bayes_rs.derived import check_derived, with_derived
 from bayes_rs.errors import InputError
 from bayes_rs.result import check_result, flag_words, group
 from bayes_rs.sampling.chains import N_ENSEMBLE
-from bayes_rs.stress import STRESSES, principal_variances
+from bayes_rs.stress import STRESSES
 
 COLUMNS: tuple[str, ...] = (
     "record",
@@ -27,41 +30,19 @@ COLUMNS: tuple[str, ...] = (
     "prob",
     "contraction",
     "contraction_shape",
+    "mcse_mean",
+    "mcse_sd",
+    "mcse_median",
+    "mcse_low",
+    "mcse_high",
     "ess_bulk",
     "ess_tail",
     "r_hat",
     "flag",
 )
-
-
-def turbulence_kinetic_energy(stress: FloatArray) -> FloatArray:
-    """Return k = ½(uu + vv + ww), m² s⁻², of stresses (..., 6)."""
-    return np.asarray(0.5 * stress[..., :3].sum(axis=-1))
-
-
-def friction_velocity(stress: FloatArray) -> FloatArray:
-    """Return u* = (uw² + vw²)^(1/4), m/s, of stresses (..., 6)."""
-    return np.sqrt(np.hypot(stress[..., 4], stress[..., 5]))
-
-
-def _invariant(order: int) -> Callable[[FloatArray], FloatArray]:
-    def of(stress: FloatArray) -> FloatArray:
-        variances = principal_variances(stress)
-        deviation = variances / variances.sum(axis=-1, keepdims=True) - 1.0 / 3.0
-        return np.asarray((deviation**order).sum(axis=-1))
-
-    return of
-
-
-DERIVED: dict[str, Callable[[FloatArray], FloatArray]] = {
-    "tke": turbulence_kinetic_energy,
-    "friction_velocity": friction_velocity,
-    "anisotropy_2": _invariant(2),
-    "anisotropy_3": _invariant(3),
-}
-"""Derived quantities by name, functions of stresses (..., 6): kinetic energy k (m² s⁻²), friction velocity u* (m/s),
-and the invariants b_ij b_ji and b_ij b_jk b_ki of the anisotropy tensor b = R/(2k) − I/3. Turbulence intensity,
-"ti", is σ_u/U and needs the wind speed beside the stresses."""
+DIAGNOSTICS = ("ess_bulk", "ess_tail", "r_hat")
+_BATCH = 64
+"""Records that are summarized together."""
 
 
 def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = ()) -> pd.DataFrame:
@@ -82,7 +63,8 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     table : DataFrame
         One row for each record and stress (and derived quantity), with the columns of `COLUMNS`: number and start of
         the record; posterior mean, sd, median and ends of the highest-density interval, m² s⁻² for stresses;
-        contraction; effective sample sizes, R-hat, and flags in words. Records that were not fitted have NaN.
+        contraction; Monte-Carlo standard errors of mean, sd, median and of the interval's ends; effective sample
+        sizes, R-hat, and flags in words. Records that were not fitted have NaN.
 
     Raises
     ------
@@ -94,38 +76,169 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     contraction = 1 − Var[posterior] / Var[prior]. Near 1 the data decided, near 0 the prior did. A prior that leaves
     the size of the turbulence open makes the contraction of every stress near 1, because any beam tells the size; so
     contraction_shape is the same number for the stress divided by the trace uu + vv + ww, from which the size is gone.
+
+    The Monte-Carlo errors follow from the effective sample sizes: of the mean sd/√n, of the sd ½ sd √((κ − 1)/n) with
+    the kurtosis κ, of the median and the ends those of the quantiles at their places. The shortest interval slides a
+    little over intervals of the same probability besides, which its ends' errors leave out.
     """
     check_result(result)
     check_summary_options(prob, derived)
     stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
+    outline = PriorOutline(group(result, "prior")["stress"].values.reshape(-1, len(STRESSES)), derived)
     observed = group(result, "observed_data")
     wind_speed = observed["wind_speed"].values
-    names = (*STRESSES, *derived)
+    stats = group(result, "sample_stats")
+    known = {name: stats[name].transpose("record", "component").values for name in DIAGNOSTICS if name in stats}
     fitted = np.flatnonzero(np.isfinite(stress).all(axis=(1, 2, 3)))
-    columns = {
-        column: np.full((len(stress), len(names)), np.nan)
-        for column in COLUMNS
-        if column not in ("record", "time", "stress", "prob", "flag")
-    }
-    for start in range(0, len(fitted), 256):
-        chunk = fitted[start : start + 256]
-        part = _summarize(stress[chunk], prior, wind_speed[chunk], derived, prob)
+    columns: dict[str, FloatArray] = {}
+    for start in range(0, len(fitted), _BATCH):
+        chunk = fitted[start : start + _BATCH]
+        part = summarize_draws(
+            stress[chunk], outline, wind_speed[chunk], prob, {name: values[chunk] for name, values in known.items()}
+        )
         for column, values in part.items():
-            columns[column][chunk] = values
-    n_record, n_name = len(stress), len(names)
-    record = observed["record"].values
-    no_time = np.full(n_record, np.datetime64("NaT", "ns"))
-    time = observed["time"].values if "time" in observed.coords else no_time
-    flags = [flag_words(flag) for flag in group(result, "sample_stats")["flag"].values]
+            columns.setdefault(column, np.full((len(stress), values.shape[1]), np.nan))[chunk] = values
+    no_time = np.full(len(stress), np.datetime64("NaT", "ns"))
+    return summary_frame(
+        columns,
+        record=observed["record"].values,
+        time=observed["time"].values if "time" in observed.coords else no_time,
+        flag=stats["flag"].values,
+        derived=derived,
+        prob=prob,
+    )
+
+
+class PriorOutline:
+    """Variances of the stresses, and of their shape, under the prior: what contraction compares with.
+
+    Parameters
+    ----------
+    draws : ndarray, shape (n_draw, 6)
+        Draws of the prior.
+    derived : sequence of str
+        Derived quantities beside the stresses.
+    """
+
+    def __init__(self, draws: FloatArray, derived: Sequence[str]) -> None:
+        self.derived = tuple(derived)
+        self.variance = with_derived(draws, derived).var(axis=0)  # the prior says nothing of the wind speed: TI is NaN
+        self.shape_variance = (draws / draws[:, :3].sum(axis=1, keepdims=True)).var(axis=0)
+
+
+def summarize_draws(
+    stress: FloatArray,
+    prior: PriorOutline,
+    wind_speed: FloatArray,
+    prob: float,
+    known: dict[str, FloatArray] | None = None,
+) -> dict[str, FloatArray]:
+    """Summarize draws of many records.
+
+    Parameters
+    ----------
+    stress : ndarray, shape (n_record, n_chain, n_draw, 6)
+        Draws of the stresses, m² s⁻².
+    prior : PriorOutline
+        The prior, and which derived quantities are wanted.
+    wind_speed : ndarray, shape (n_record,)
+        Mean wind speeds, m/s.
+    prob : float
+        Probability of the highest-density intervals.
+    known : dict of str to ndarray, shape (n_record, 6), optional
+        Diagnostics of the stresses, by the names in `DIAGNOSTICS`, where they are known already.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (n_record, n_quantity)
+        The columns of numbers of `COLUMNS`.
+    """
+    names = prior.derived
+    n_record, n_stress = len(stress), len(STRESSES)
+    values = with_derived(stress, names, wind_speed[:, None, None])
+    by_quantity = np.ascontiguousarray(np.moveaxis(values, -1, 1))  # (record, quantity, chain, draw)
+    ordered = np.sort(by_quantity.reshape(n_record, values.shape[-1], -1), axis=-1)
+    diagnosed = dict(known or {})
+    fresh = by_quantity[:, n_stress:] if set(DIAGNOSTICS) <= set(diagnosed) else by_quantity
+    if fresh.shape[1]:
+        found = diagnostics.diagnose(fresh, N_ENSEMBLE)
+        for name in DIAGNOSTICS:
+            own = getattr(found, name)
+            diagnosed[name] = np.concatenate([diagnosed[name], own], axis=1) if fresh is not by_quantity else own
+    mean = ordered.mean(axis=-1)
+    centred = ordered - mean[..., None]
+    square = centred * centred
+    variance = square.mean(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal have no kurtosis
+        kurtosis = np.einsum("rqd,rqd->rq", square, square) / (ordered.shape[-1] * variance**2)
+    low, high, share = diagnostics.interval_of_ordered(ordered, prob)
+    bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
+    trace = stress[..., :3].sum(axis=-1, keepdims=True)
+    shape = (stress / trace).reshape(n_record, -1, n_stress)
+    contraction_shape = np.full(mean.shape, np.nan)
+    contraction_shape[:, :n_stress] = 1.0 - shape.var(axis=1) / prior.shape_variance
+    sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
+    half = np.full(mean.shape, 0.5)
+    return {
+        "mean": mean,
+        "sd": sd,
+        "median": np.median(ordered, axis=-1),
+        "hdi_low": low,
+        "hdi_high": high,
+        "contraction": 1.0 - variance / prior.variance,
+        "contraction_shape": contraction_shape,
+        "mcse_mean": sd / np.sqrt(bulk),
+        "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
+        "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
+        "mcse_low": diagnostics.quantile_error(ordered, share, tail),
+        "mcse_high": diagnostics.quantile_error(ordered, share + prob, tail),
+        **diagnosed,
+    }
+
+
+def summary_frame(
+    columns: dict[str, FloatArray],
+    *,
+    record: NDArray[Any],
+    time: NDArray[Any],
+    flag: NDArray[np.int64],
+    derived: Sequence[str],
+    prob: float,
+) -> pd.DataFrame:
+    """Lay out the columns of `summarize_draws` as a table, one row for each record and quantity.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (n_record, n_quantity)
+        Numbers; columns that are missing are NaN.
+    record, time, flag : ndarray, shape (n_record,)
+        Number, start and flag of each record.
+    derived : sequence of str
+        Derived quantities after the stresses.
+    prob : float
+        Probability of the intervals.
+
+    Returns
+    -------
+    table : DataFrame
+        With the columns of `COLUMNS`.
+    """
+    names = (*STRESSES, *derived)
+    n_record, n_name = len(record), len(names)
+    words = {value: flag_words(value) for value in np.unique(flag).tolist()}
+    missing = np.full(n_record * n_name, np.nan)
     table = pd.DataFrame(
         {
             "record": np.repeat(record, n_name),
             "time": np.repeat(time, n_name),
             "stress": np.tile(np.array(names, dtype=object), n_record),
             "prob": prob,
-            "flag": np.repeat(np.array(flags, dtype=object), n_name),
-            **{column: values.ravel() for column, values in columns.items()},
+            "flag": np.repeat(np.array([words[value] for value in flag.tolist()], dtype=object), n_name),
+            **{
+                column: columns[column].ravel() if column in columns else missing
+                for column in COLUMNS
+                if column not in ("record", "time", "stress", "prob", "flag")
+            },
         }
     )
     return table[list(COLUMNS)]
@@ -141,39 +254,4 @@ def check_summary_options(prob: float, derived: Sequence[str]) -> None:
     """
     if not 0.0 < prob < 1.0:
         raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    for name in derived:
-        check_choice(name, ("ti", *DERIVED), what="derived quantity")
-
-
-def _summarize(
-    stress: FloatArray, prior: FloatArray, wind_speed: FloatArray, derived: Sequence[str], prob: float
-) -> dict[str, FloatArray]:
-    """Return the summary's columns, each (n_record, n_name), of stresses (n_record, n_chain, n_draw, 6)."""
-    values = np.moveaxis(stress, -1, 1)
-    prior_values = prior.T
-    for name in derived:
-        if name == "ti":
-            extra = np.sqrt(stress[..., 0]) / wind_speed[:, None, None]
-            extra_prior = np.full(len(prior), np.nan)  # the prior says nothing of the wind speed
-        else:
-            extra, extra_prior = DERIVED[name](stress), DERIVED[name](prior)
-        values = np.concatenate([values, extra[:, None]], axis=1)
-        prior_values = np.concatenate([prior_values, extra_prior[None]])
-    flat = values.reshape(*values.shape[:2], -1)
-    low, high = diagnostics.highest_density_interval(flat, prob)
-    shape = stress / stress[..., :3].sum(axis=-1, keepdims=True)
-    prior_shape = prior / prior[:, :3].sum(axis=1, keepdims=True)
-    contraction_shape = np.full(flat.shape[:2], np.nan)
-    contraction_shape[:, : len(STRESSES)] = 1.0 - shape.var(axis=(1, 2)) / prior_shape.var(axis=0)
-    return {
-        "mean": flat.mean(axis=-1),
-        "sd": flat.std(axis=-1, ddof=1),
-        "median": np.median(flat, axis=-1),
-        "hdi_low": low,
-        "hdi_high": high,
-        "contraction": 1.0 - flat.var(axis=-1) / prior_values.var(axis=1),
-        "contraction_shape": contraction_shape,
-        "ess_bulk": diagnostics.ess_bulk(values),
-        "ess_tail": diagnostics.ess_tail(values),
-        "r_hat": diagnostics.r_hat(values, N_ENSEMBLE),
-    }
+    check_derived(derived)

@@ -60,7 +60,7 @@ class TestTable:
     def test_columns_and_their_order(self, result):
         expected = (
             "record time stress mean sd median hdi_low hdi_high prob contraction contraction_shape "
-            "ess_bulk ess_tail r_hat flag"
+            "mcse_mean mcse_sd mcse_median mcse_low mcse_high ess_bulk ess_tail r_hat flag"
         )
         assert expected.split() == list(COLUMNS)
         assert list(summary(result).columns) == list(COLUMNS)
