@@ -13,8 +13,10 @@ from bayes_rs.errors import InputError
 from bayes_rs.forward import design_matrix
 from bayes_rs.mann import MannTurbulence
 from bayes_rs.noise import NoiseModel
+from bayes_rs.probe import PointProbe
 from bayes_rs.progress import progress as progress_bar
 from bayes_rs.stress import pack_stress
+from bayes_rs.theory import theory_noise
 from bayes_rs.virtual import RecordState, beam_lines, box_seeds, grid_for, placements, sample_records
 
 
@@ -53,15 +55,19 @@ def noise_from_boxes(
     ------
     InputError
         If a record does not fit into the boxes.
+
+    Notes
+    -----
+    Beams with a probe volume see it in the boxes as it is (`beam_lines`): K is that of the probed velocities, relative
+    to their exact expectations in the boxes. Their gain is that of `theory_noise`, since a probe takes the small
+    eddies, some of which a box does not have: what it takes from the variances of a box is less than what it takes from
+    those of the air. ``probe_excess`` in the details is by how much the beams' expected variances in the boxes are
+    above gain · stresses of a record in the boxes, at most. The bias is the part of the stresses, weighted by the gain,
+    that the removal of a record's mean takes, in the boxes.
     """
     check_count(n_boxes, what="n_boxes", minimum=2)
     box_grid = grid_for(list(states), turbulence) if grid is None else grid
     for state in states:
-        if np.any(state.scan.probe_length > 0.0):
-            raise InputError(
-                f"The beams of scan {state.scan.name!r} have a probe volume ({state.scan.probe.kind}), and beams in "
-                'boxes are points: use method="theory", or load the scan with probe="point".'
-            )
         if state.records_in(box_grid) < 1:
             raise InputError(
                 f"A record of {state.duration:g} s at {state.wind_speed:g} m/s does not fit into a box of "
@@ -69,17 +75,26 @@ def noise_from_boxes(
             )
     maker = BoxMaker(turbulence, box_grid)
     shift = placements(box_grid, turbulence.length_scale)
-    focus = np.concatenate([(state.focus + one) for one in shift for state in states])
-    direction = np.concatenate([state.line_of_sight for _ in shift for state in states])
-    unique, line = _unique_lines(focus, direction)
-    ends = np.cumsum([state.scan.n_beam for _ in shift for state in states])
+    placed = [(state, one) for one in shift for state in states]
+    focus = np.concatenate([state.focus + one for state, one in placed])
+    direction = np.concatenate([state.line_of_sight for state, _ in placed])
+    distance = np.concatenate([state.scan.focus_distance for state, _ in placed])
+    probes = list(dict.fromkeys(state.scan.probe for state in states))
+    probe = np.concatenate([np.full(state.scan.n_beam, probes.index(state.scan.probe)) for state, _ in placed])
+    lengths = np.concatenate([state.scan.probe_length for state, _ in placed])
+    unique, line = _unique_lines(focus, np.column_stack([direction, probe, lengths]))
+    of_probe = [np.flatnonzero(probe[unique] == number) for number in range(len(probes))]
+    ends = np.cumsum([state.scan.n_beam for state, _ in placed])
     parts = np.split(line, ends[:-1])  # one for each placement and state
     expected = [state.expected_variance(maker) for state in states]
     tallies = [_Tally() for _ in states]
     for box_seed in progress_bar(
         box_seeds(as_generator(seed), n_boxes), n_boxes, "boxes", disable=None if progress is None else not progress
     ):
-        lines = beam_lines(maker.make(box_seed), focus[unique], direction[unique])
+        box, lines = maker.make(box_seed), np.empty((len(unique), box_grid.shape[0]))
+        for kind, rows in zip(probes, of_probe, strict=True):
+            beams = unique[rows]
+            lines[rows] = beam_lines(box, focus[beams], direction[beams], probe=kind, focus_distance=distance[beams])
         for number, state in enumerate(states):
             velocity = [sample_records(lines[part], state, box_grid) for part in parts[number :: len(states)]]
             tallies[number].add(np.concatenate(velocity).var(axis=-1) / expected[number] - 1.0)
@@ -135,17 +150,22 @@ def _model(
     variance = np.diag(covariance)
     spread = np.mean(tally.fourth, axis=0) - variance**2
     independent = np.median(spread / np.diag(error) ** 2)
-    direction = state.line_of_sight
+    gain, about_probe = design_matrix(state.line_of_sight), {}
+    record = pack_stress(state.record_tensor(maker))
+    if not isinstance(state.scan.probe, PointProbe):
+        gain = _probe_gain(state, maker.turbulence)
+        about_probe = {"probe_excess": float(np.max(expected / (gain @ record) - 1.0))}
     details = {
         **shared,
         "records_per_box": state.records_in(maker.grid),
         "n_samples": state.n_sample,
         "n_records": tally.per_box * len(tally.second),
         "mean_deviation_sigmas": round(float(np.max(np.abs(np.mean(tally.first, axis=0)) / mean_error)), 3),
+        **about_probe,
     }
     return NoiseModel(
-        bias=expected / np.einsum("bi,ij,bj->b", direction, maker.tensor, direction) - 1.0,
-        gain=design_matrix(direction),
+        bias=(gain @ record) / (gain @ pack_stress(maker.tensor)) - 1.0,
+        gain=gain,
         covariance=0.5 * (covariance + covariance.T),
         beam=state.scan.beam,
         scan_name=state.scan.name,
@@ -179,9 +199,26 @@ def _truth(maker: BoxMaker) -> dict[str, Any]:
     return truth
 
 
-def _unique_lines(focus: FloatArray, direction: FloatArray) -> tuple[Any, Any]:
-    """Find the beams that see the same line along x in the same direction: each line is interpolated once."""
+def _probe_gain(state: RecordState, turbulence: MannTurbulence) -> FloatArray:
+    """Return the gain of `theory_noise`: that of all eddies, also of those too small for a box."""
+    duration = state.n_sample * state.scan.scan_duration
+    alone = [
+        theory_noise(
+            state.scan.select([beam]),
+            turbulence,
+            wind_speed=state.wind_speed,
+            duration=duration,
+            yaw=state.yaw,
+            probe_tolerance=0.0,
+        )
+        for beam in state.scan.beam
+    ]
+    return np.concatenate([model.gain for model in alone])
+
+
+def _unique_lines(focus: FloatArray, seen: FloatArray) -> tuple[Any, Any]:
+    """Find the beams that see the same of the same line along x: each line is calculated once."""
     _, unique, line = np.unique(
-        np.round(np.column_stack([focus[:, 1:], direction]), 9), axis=0, return_index=True, return_inverse=True
+        np.round(np.column_stack([focus[:, 1:], seen]), 9), axis=0, return_index=True, return_inverse=True
     )
     return unique, line.ravel()

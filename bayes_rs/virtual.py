@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy.fft
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import diric
 
 from bayes_rs._validation import (
@@ -27,12 +27,15 @@ from bayes_rs.boxes import Box, BoxGrid, BoxMaker, choose_grid, generator_name
 from bayes_rs.errors import InputError
 from bayes_rs.lines import LineMaker
 from bayes_rs.mann import MannTurbulence
+from bayes_rs.probe import PointProbe, Probe
 from bayes_rs.progress import progress
 from bayes_rs.scan import Scan
 from bayes_rs.stress import pack_stress
 
 FIRST_RECORD = np.datetime64("2000-01-01T00:00:00", "ns")
 """When the first simulated record starts, UTC."""
+
+_POINT = PointProbe()
 
 _LEVELS_AT_ONCE = 16
 """How many heights are interpolated in one matrix product: enough to be fast, few enough to need little memory."""
@@ -108,12 +111,20 @@ class RecordState:
 
         Notes
         -----
-        E[y_b] = Σ_{k₁} n·F(k₁) n (1 − D_N(k₁ U Δ)²), where D_N(φ) = sin(Nφ/2) / (N sin(φ/2)) is the response of the
-        mean of N samples a time Δ apart: the variance less the variance of the mean.
+        E[y_b] = Σ_{k₁} F_b(k₁) (1 − D_N(k₁ U Δ)²), where F_b is the spectrum of the beam's radial velocity
+        (`BoxMaker.radial_spectrum`), with its probe volume, and D_N(φ) = sin(Nφ/2) / (N sin(φ/2)) is the response of
+        the mean of N samples a time Δ apart: the variance less the variance of the mean.
         """
-        kept = 1.0 - diric(maker.wave_number * self.step, self.n_sample) ** 2
-        tensor = np.einsum("k,kij->ij", kept, maker.spectrum)
-        return np.asarray(np.einsum("bi,ij,bj->b", self.line_of_sight, tensor, self.line_of_sight))
+        spectrum = maker.radial_spectrum(self.line_of_sight, self.scan.probe, self.scan.focus_distance)
+        return np.asarray(spectrum @ self._kept(maker))
+
+    def record_tensor(self, maker: BoxMaker) -> FloatArray:
+        """Return the expected stresses of a record at a point in the boxes of a maker, shape (3, 3), m² s⁻²."""
+        return np.asarray(np.einsum("k,kij->ij", self._kept(maker), maker.spectrum))
+
+    def _kept(self, maker: BoxMaker) -> FloatArray:
+        """Return the part of the variance in each wave number k₁ that is left when a record's mean is removed."""
+        return np.asarray(1.0 - diric(maker.wave_number * self.step, self.n_sample) ** 2)
 
 
 def interpolation_weights(position: ArrayLike, count: int, spacing: float) -> FloatArray:
@@ -150,8 +161,15 @@ def interpolation_weights(position: ArrayLike, count: int, spacing: float) -> Fl
     return np.asarray((1.0 + 2.0 * inner + np.cos(0.5 * count * phase)) / count)
 
 
-def beam_lines(box: Box, focus: ArrayLike, line_of_sight: ArrayLike) -> FloatArray:
-    """Return the radial velocity on lines along x through the focus points.
+def beam_lines(
+    box: Box,
+    focus: ArrayLike,
+    line_of_sight: ArrayLike,
+    *,
+    probe: Probe = _POINT,
+    focus_distance: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the radial velocity of beams whose focus points move along lines in x.
 
     Parameters
     ----------
@@ -161,23 +179,40 @@ def beam_lines(box: Box, focus: ArrayLike, line_of_sight: ArrayLike) -> FloatArr
         Focus points, m; y and z may be anywhere, the box is periodic.
     line_of_sight : array_like, shape (n, 3)
         Unit vectors.
+    probe : Probe
+        The probe volume; by default the beams see points.
+    focus_distance : array_like, shape (n,), optional
+        Distance of each focus point from its lidar, m, which a probe volume may depend on; not needed for points.
 
     Returns
     -------
     lines : ndarray, shape (n, n_x)
-        n·u at the x of the grid and the y and z of each point, m/s; interpolated exactly.
+        n·u averaged over the probe volume, at the x of the grid and the y and z of each point, m/s; exact.
 
     Raises
     ------
     InputError
-        If the shapes disagree.
+        If the shapes disagree, or there is a probe volume and no focus distance.
 
     Notes
     -----
-    n·u(x) = Σ_i n_i Σ_jk w_j(y) w_k(z) u_i(x, y_j, z_k), with the weights of `interpolation_weights`.
+    A point sees n·u(x) = Σ_i n_i Σ_jk w_j(y) w_k(z) u_i(x, y_j, z_k), with the weights of `interpolation_weights`. The
+    box is a sum of waves, and a shift by s along n multiplies a wave by exp(i s k·n), so that a probe volume with the
+    weighting φ(s) multiplies it by its transfer H(k·n), `Probe.transfer`:
+
+        v(x) = Σ_k n·c(k) H(k·n) exp(i k·x),
+
+    with the box's own amplitudes c: no integral along the beam is cut short or approximated. As on the way for points,
+    a wave of two grid steps is a cosine about the grid's points; its two halves have each their own H. All points of a
+    box are in its period: the tails of a probe longer than the box see the same air again.
     """
     points = check_array(focus, (None, 3), what="focus")
     direction = check_array(line_of_sight, (len(points), 3), what="line_of_sight")
+    if not isinstance(probe, PointProbe):
+        if focus_distance is None:
+            raise InputError("Missing focus_distance of beams with a probe volume: give one for each focus point, m.")
+        distance = check_array(focus_distance, (len(points),), what="focus_distance")
+        return _probed_lines(box, points, direction, probe, distance)
     n_x, n_y, n_z = box.grid.shape
     kind = box.velocity.dtype
     across = interpolation_weights(points[:, 1], n_y, box.grid.spacing[1]).astype(kind)
@@ -192,6 +227,37 @@ def beam_lines(box: Box, focus: ArrayLike, line_of_sight: ArrayLike) -> FloatArr
                 at_level = np.flatnonzero(level == first + offset)
                 lines[at_level] += direction[at_level, component, None] * (across[at_level] @ plane.T)
     return lines
+
+
+def _probed_lines(
+    box: Box, focus: FloatArray, line_of_sight: FloatArray, probe: Probe, distance: FloatArray
+) -> FloatArray:
+    """Return `beam_lines` for a probe volume: the sum over the box's waves, a part of the k₁ at a time."""
+    n_x, n_y, n_z = box.grid.shape
+    amplitude, (_, k_2, k_3) = box.amplitude, box.grid.wave_number
+    across, upward = _waves_at(focus[:, 1], k_2), _waves_at(focus[:, 2], k_3)
+    phase = np.einsum("py,pz->pyz", across.astype(amplitude.dtype), upward.astype(amplitude.dtype))
+    j, k = np.arange(-(n_y // 2), n_y // 2 + 1) % n_y, np.arange(-(n_z // 2), n_z // 2 + 1) % n_z
+    kinds = np.round(np.column_stack([line_of_sight, probe.length(distance)]), 12)
+    _, first, kind = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
+    lines_of_kind = [np.flatnonzero(kind.ravel() == number) for number in range(len(first))]
+    spectrum = np.empty((len(focus), n_x // 2 + 1), dtype=amplitude.dtype)
+    for part in box.grid.parts():
+        waves = np.ascontiguousarray(amplitude[:, part, j[:, None], k])
+        numbers = waves.view(box.velocity.dtype).reshape(3, -1)  # real and imaginary parts in turn
+        for beam, lines in zip(first, lines_of_kind, strict=True):
+            seen = (line_of_sight[beam].astype(numbers.dtype) @ numbers).view(amplitude.dtype)
+            transfer = box.grid.transfer(part, line_of_sight[beam], probe, float(distance[beam]))
+            seen *= transfer.ravel().astype(numbers.dtype)
+            spectrum[lines, part] = phase[lines].reshape(len(lines), -1) @ seen.reshape(waves.shape[1], -1).T
+    return np.asarray(scipy.fft.irfft(spectrum, n_x, axis=1, norm="forward"), dtype=np.float64)
+
+
+def _waves_at(place: FloatArray, wave_number: FloatArray) -> NDArray[np.complex128]:
+    """Return exp(i k p), shape (n_place, n_k); half of it at both ends, which are one wave, a cosine about the grid."""
+    wave = np.exp(1j * np.outer(place, wave_number))
+    wave[:, [0, -1]] *= 0.5
+    return np.asarray(wave)
 
 
 def sample_lines(lines: ArrayLike, length: float, start: ArrayLike, step: float, count: int) -> FloatArray:
@@ -348,8 +414,7 @@ def simulate(
     Raises
     ------
     InputError
-        If a number is not valid, the method is unknown, the records do not fit into memory, or boxes are asked for
-        beams with a probe volume.
+        If a number is not valid, the method is unknown, or the records do not fit into memory.
     NotPositiveDefiniteError
         If the covariances of lines are not those of any process to 10⁻³ of a variance.
     MissingExtraError
@@ -365,7 +430,8 @@ def simulate(
     Lines: records are independent of each other, and a record is the same however many follow. Boxes: a box provides
     as many records as fit end to end, in two places half a period apart in y and in z, at least 6 L each. Records of
     one box are nearly independent: at the seed's flow, variances of u in neighbouring records are correlated by 0.02,
-    in the two places by 0.03; records of different boxes are independent.
+    in the two places by 0.03; records of different boxes are independent. Beams with a probe volume see it in the boxes
+    exactly (`beam_lines`); of the small eddies that it takes, the boxes lack some, so that it takes less.
 
     References
     ----------
@@ -411,22 +477,18 @@ def simulate(
 def _simulate_in_boxes(
     state: RecordState, turbulence: MannTurbulence, n_records: int, rng: np.random.Generator
 ) -> tuple[FloatArray, dict[str, Any]]:
-    if np.any(state.scan.probe_length > 0.0):
-        raise InputError(
-            f"The beams of scan {state.scan.name!r} have a probe volume ({state.scan.probe.kind}), and beams in boxes "
-            'see points: use method="lines".'
-        )
     grid = grid_for([state], turbulence)
     maker = BoxMaker(turbulence, grid)
     shift = np.array([[0.0, 0.0, 0.0], [0.0, 0.5 * grid.size[1], 0.5 * grid.size[2]]])
     focus = np.concatenate([state.focus + one for one in shift])
     direction = np.tile(state.line_of_sight, (len(shift), 1))
+    distance = np.tile(state.scan.focus_distance, len(shift))
     n_boxes = -(-n_records // (state.records_in(grid) * len(shift)))
     records: list[FloatArray] = []
     for seed in progress(box_seeds(rng, n_boxes), n_boxes, "boxes"):
-        lines = beam_lines(maker.make(seed), focus, direction).reshape(len(shift), state.scan.n_beam, -1)
-        records.extend(record for group in lines for record in sample_records(group, state, grid))
-    kept = 1.0 - diric(maker.wave_number * state.step, state.n_sample) ** 2
+        lines = beam_lines(maker.make(seed), focus, direction, probe=state.scan.probe, focus_distance=distance)
+        groups = lines.reshape(len(shift), state.scan.n_beam, -1)
+        records.extend(record for group in groups for record in sample_records(group, state, grid))
     truth = {
         "method": "boxes",
         "generator": generator_name(),
@@ -437,7 +499,8 @@ def _simulate_in_boxes(
         "grid_shape": list(grid.shape),
         "grid_spacing": list(grid.spacing),
         "stresses": pack_stress(maker.tensor).tolist(),
-        "stresses_record": pack_stress(np.einsum("k,kij->ij", kept, maker.spectrum)).tolist(),
+        "probe": state.scan.probe.parameters(),
+        "stresses_record": pack_stress(state.record_tensor(maker)).tolist(),
     }
     return np.stack(records[:n_records]), truth
 

@@ -11,7 +11,7 @@ from bayes_rs.box_noise import noise_from_boxes
 from bayes_rs.boxes import BoxGrid, BoxMaker
 from bayes_rs.lines import LineMaker
 from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.probe import make_probe
+from bayes_rs.probe import PointProbe, make_probe
 from bayes_rs.scan_file import load_scan
 from bayes_rs.theory import theory_noise
 from bayes_rs.toeplitz import toeplitz_inner, toeplitz_trace
@@ -164,7 +164,8 @@ def box_noise(state, maker):
         root = maker._tensor.spectral_vars[:, :, i].astype(np.float64)
         if i in (0, n_x // 2):
             root[:, :, :: n_y // 2, :: n_z // 2] *= np.sqrt(0.5)  # waves that are their own mirror image
-        seen = (np.einsum("bi,imyz->bmyz", direction, root) * wave[:, None]).reshape(len(place), -1)
+        seen = np.einsum("bi,imyz->bmyz", direction, root) * (wave * probe_transfer_at(state, maker.grid, i))[:, None]
+        seen = seen.reshape(len(place), -1)
         cross[i] = (1.0 if i in (0, n_x // 2) else 2.0) * maker.turbulence.dissipation * (seen @ seen.conj().T)
     lag = state.step * np.arange(1 - count, count)
     covariance, expected = np.empty((len(place), len(place))), np.empty(len(place))
@@ -174,6 +175,22 @@ def box_noise(state, maker):
         if a == b:
             expected[a] = toeplitz_trace(by_lag, count) / count
     return covariance / np.outer(expected, expected), expected
+
+
+def probe_transfer_at(state, grid, i):
+    """Return H(k·n) of each beam at the i-th k₁, shape (n_beam, n_y, n_z); mean over the signs of shortest waves."""
+    if isinstance(state.scan.probe, PointProbe):
+        return 1.0
+    k = [2.0 * np.pi * np.fft.fftfreq(n, d) for n, d in zip(grid.shape, grid.spacing, strict=True)]
+    shortest = [np.where(np.arange(n) == n // 2, -1.0, 1.0) for n in grid.shape]
+    signs = list(np.ndindex(2 if i == grid.shape[0] // 2 else 1, 2, 2))
+    total = 0.0
+    for powers in signs:
+        k_1, k_2, k_3 = (wave * sign**power for wave, sign, power in zip(k, shortest, powers, strict=True))
+        wave = np.stack(np.broadcast_arrays(k_1[i], k_2[:, None], k_3))
+        along = np.einsum("bi,iyz->byz", state.line_of_sight, wave)
+        total = total + state.scan.probe.transfer(along, state.scan.focus_distance[:, None, None])
+    return total / len(signs)
 
 
 GRIDS = {  # points and spacing in L: some 10 ms a box; coarser boxes hold much in waves of two points, which are
@@ -227,7 +244,7 @@ def expected_variance_in_boxes(noise, turbulence, grid):
     return (1.0 + noise.bias) * np.einsum("bi,ij,bj->b", n, tensor, n)
 
 
-def box_differences(width, flow):
+def box_differences(width, flow, probe=None):
     """Return E[y], its relative error, both of beam 0 over the theory's, the largest ratio of K, its Frobenius error.
 
     Six beams at 15°, 98 m; ten minutes; boxes three records long with L/12 by L/6 by L/6, but for those 2.1 L wide, the
@@ -238,7 +255,7 @@ def box_differences(width, flow):
     spacing = (turbulence.length_scale / along, *[turbulence.length_scale / across] * 2)
     length = 3.0 * 600.0 * wind_speed
     n_along, n_across = 2 * int(np.ceil(0.5 * length / spacing[0])), 2 * int(np.ceil(0.5 * width * across))
-    scan = load_scan("6-beam")
+    scan = load_scan("6-beam") if probe is None else replace(load_scan("6-beam"), probe=probe)
     theory = theory_noise(scan, turbulence, wind_speed=wind_speed)
     maker = BoxMaker(turbulence, BoxGrid((n_along, n_across, n_across), spacing))
     covariance, expected = box_noise(RecordState(scan, wind_speed, 0.0, 600.0), maker)

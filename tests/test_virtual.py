@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from bayes_rs.boxes import Box, BoxGrid, BoxMaker
 from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.forward import radial_variance
 from bayes_rs.mann import MannTurbulence
+from bayes_rs.probe import ContinuousWaveProbe, PulsedProbe
 from bayes_rs.records import make_records
 from bayes_rs.scan import Scan
 from bayes_rs.scan_file import load_scan
@@ -141,6 +143,142 @@ class TestLaws:
             assert state.expected_variance(maker)[beam] == pytest.approx(slow, rel=1e-10)
 
 
+WIDTH = 12.0  # of the probes below, m: H falls to a tenth and less at the highest wave numbers of GRID
+CLOSED_FORMS = {  # probe, its transfer written out
+    "continuous-wave": (ContinuousWaveProbe(rayleigh_length=WIDTH), lambda k: np.exp(-WIDTH * np.abs(k))),
+    "triangle": (PulsedProbe(gate_length=WIDTH), lambda k: np.sinc(k * WIDTH / (2.0 * np.pi)) ** 2),
+    "gaussian": (
+        PulsedProbe(gate_length=WIDTH, pulse="gaussian", pulse_length=20.0),
+        lambda k: np.sinc(k * WIDTH / (2.0 * np.pi)) * np.exp(-((20.0 * k) ** 2) / (16.0 * np.log(2.0))),
+    ),
+}
+
+
+class TestProbe:
+    """A beam sees the weighted mean of n·u along it: each wave is multiplied by the probe's transfer at k·n."""
+
+    scan = load_scan("6-beam", yaw_deg=20.0, tilt_deg=3.0, opening_angle_deg=40.0)
+    focus = scan.focus_distance[:, None] * scan.line_of_sight
+
+    @pytest.mark.parametrize("kind", [np.float64, np.float32])
+    @pytest.mark.parametrize("probe", [ContinuousWaveProbe(rayleigh_length=1e-15), PulsedProbe(gate_length=1e-12)])
+    def test_a_short_one_is_a_point_to_rounding(self, probe, kind):
+        box = Box(np.random.default_rng(4).normal(size=(3, *GRID.shape)).astype(kind), GRID)
+        points = beam_lines(box, self.focus, self.scan.line_of_sight)
+        probed = beam_lines(
+            box, self.focus, self.scan.line_of_sight, probe=probe, focus_distance=self.scan.focus_distance
+        )
+        atol = ROUNDING if kind is np.float64 else 1e-5  # single precision: 60 ε for sums of 1440 waves
+        np.testing.assert_allclose(probed, points, rtol=0.0, atol=atol)
+
+    @settings(max_examples=50, deadline=None)
+    @given(
+        st.sampled_from(sorted(CLOSED_FORMS)),
+        st.tuples(st.integers(-31, 31), st.integers(-5, 5), st.integers(-4, 4)),
+        st.floats(0.0, 6.0),
+    )
+    def test_one_fourier_mode_is_multiplied_by_the_transfer(self, name, number, phase):
+        box, field = one_wave(number, phase, amplitude=(1.0, -0.7, 0.4))
+        probe, transfer = CLOSED_FORMS[name]
+        state = RecordState(replace(self.scan, probe=probe), 7.3, 0.3, 7.0)
+        wave = 2.0 * np.pi * np.array(number) / np.array(GRID.size)
+        lines = beam_lines(box, state.focus, state.line_of_sight, probe=probe, focus_distance=self.scan.focus_distance)
+        velocity = sample_records(lines, state, GRID)
+        for beam, direction in enumerate(state.line_of_sight):
+            time = self.scan.beam_time[beam] + self.scan.scan_duration * np.arange(state.n_sample)
+            position = state.focus[beam] - np.outer(7.3 * time, [1.0, 0.0, 0.0])
+            expected = field(position) @ direction * transfer(wave @ direction)
+            np.testing.assert_allclose(velocity[0, beam], expected, rtol=0.0, atol=ROUNDING)
+
+    def test_is_the_weighted_mean_of_points_along_the_beam(self):
+        """All waves at once, the shortest ones too, which are cosines about the grid; the sum over s is slow."""
+        box = Box(np.random.default_rng(5).normal(size=(3, *GRID.shape)), GRID)
+        probe = PulsedProbe(gate_length=WIDTH)
+        node, weight = np.polynomial.legendre.leggauss(24)
+        mean = np.zeros((self.scan.n_beam, GRID.shape[0]))
+        for half in (-0.5, 0.5):  # the triangle has a corner at its middle
+            for s, share in zip(WIDTH * (0.5 * node + half), 0.5 * WIDTH * weight, strict=True):
+                place = self.focus + s * self.scan.line_of_sight
+                line = beam_lines(box, place, self.scan.line_of_sight)
+                along = s * self.scan.line_of_sight[:, 0]
+                mean += share * probe.weighting(s, 0.0) * sample_lines(line, GRID.size[0], along, 5.0, GRID.shape[0])
+        probed = beam_lines(
+            box, self.focus, self.scan.line_of_sight, probe=probe, focus_distance=self.scan.focus_distance
+        )
+        np.testing.assert_allclose(probed, mean, rtol=0.0, atol=1e-9)  # the rule of 24 nodes
+        assert np.std(probed) < 0.7 * np.std(beam_lines(box, self.focus, self.scan.line_of_sight))
+
+    def test_each_beam_has_the_length_of_its_focus_distance(self):
+        box = Box(np.random.default_rng(6).normal(size=(3, *GRID.shape)), GRID)
+        optics = ContinuousWaveProbe(wavelength=1.565e-6, aperture_radius=0.028)
+        direction, focus = self.scan.line_of_sight[[0, 0, 1]], self.focus[[0, 0, 1]]
+        distance = np.array([52.0, 98.0, 140.0])
+        together = beam_lines(box, focus, direction, probe=optics, focus_distance=distance)
+        for beam in range(3):
+            fixed = ContinuousWaveProbe(rayleigh_length=float(optics.length(distance[beam])))
+            alone = beam_lines(box, focus[[beam]], direction[[beam]], probe=fixed, focus_distance=[1.0])
+            np.testing.assert_allclose(together[beam], alone[0], atol=ROUNDING)
+        assert not np.allclose(together[0], together[1], atol=0.01)
+
+    @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.0, 3.1, -4.7)])
+    def test_mean_variance_of_many_boxes_is_the_expected_one(self, shift):
+        """At points of the grid and between them; a coarse grid, whose beams lose a quarter of their variance."""
+        maker = BoxMaker(WIDE_EDDIES, BoxGrid((96, 20, 20), (20.0, 30.0, 30.0)))
+        scan = replace(self.scan, probe=ContinuousWaveProbe(rayleigh_length=WIDTH))
+        state = RecordState(scan, 10.0, 0.3, 60.0)
+        n_box = 200
+        variance = np.empty((n_box, scan.n_beam))
+        for seed in range(n_box):
+            lines = beam_lines(
+                maker.make(seed),
+                state.focus + np.array(shift),
+                state.line_of_sight,
+                probe=scan.probe,
+                focus_distance=scan.focus_distance,
+            )
+            variance[seed] = sample_records(lines, state, maker.grid).var(axis=-1).mean(axis=0)
+        expected = state.expected_variance(maker)
+        error = variance.std(axis=0, ddof=1) / np.sqrt(n_box)
+        assert np.all(np.abs(variance.mean(axis=0) - expected) < 4.5 * error)  # Monte Carlo, six beams, skewed
+        at_points = RecordState(self.scan, 10.0, 0.3, 60.0).expected_variance(maker)
+        assert np.all(np.abs(variance.mean(axis=0) - at_points) > 4.5 * error)  # the test would see no probe
+
+    @pytest.mark.parametrize("wind_speed", [4.0, 10.0])
+    def test_a_short_one_takes_the_mean_square_of_the_derivative(self, wind_speed):
+        """1 − H² = κ² l²/6 for a triangle of half-width l, to the order κ⁴ l⁴."""
+        maker = BoxMaker(WIDE_EDDIES, BoxGrid((64, 8, 10), (20.0, 60.0, 50.0)))
+        length = 0.2
+        probed = RecordState(replace(self.scan, probe=PulsedProbe(gate_length=length)), wind_speed, 0.3, 50.0)
+        points = RecordState(self.scan, wind_speed, 0.3, 50.0)
+        change = (points.expected_variance(maker) - probed.expected_variance(maker)) / (length**2 / 6.0)
+        k_2, k_3 = (2.0 * np.pi * np.fft.fftfreq(n, d) for n, d in zip((8, 10), (60.0, 50.0), strict=True))
+        root = maker._tensor.spectral_vars.astype(np.float64)
+        expected = np.zeros(self.scan.n_beam)
+        for i, k_1 in enumerate(maker.wave_number):
+            lag = k_1 * wind_speed * np.arange(50)
+            kept = 1.0 - np.abs(np.mean(np.exp(1j * lag))) ** 2
+            twice = 1.0 if i in {0, 32} else 2.0
+            for beam, (n_1, n_2, n_3) in enumerate(points.line_of_sight):
+                power = np.sum(np.einsum("i,ijyz->jyz", [n_1, n_2, n_3], root[:, :, i]) ** 2, axis=0)
+                if twice == 1.0:
+                    power[::4, ::5] *= 0.5
+                # a cosine about the grid has κ² of two waves: what is odd in the shortest waves' number is lost
+                square = (n_1 * k_1) ** 2 + ((n_2 * k_2) ** 2)[:, None] + (n_3 * k_3) ** 2
+                odd = [
+                    (n_1 * k_1 * (i < 32)),
+                    (n_2 * k_2 * (np.arange(8) != 4))[:, None],
+                    n_3 * k_3 * (np.arange(10) != 5),
+                ]
+                square = square + 2.0 * (odd[0] * odd[1] + odd[0] * odd[2] + odd[1] * odd[2])
+                expected[beam] += maker.turbulence.dissipation * twice * kept * np.sum(power * square)
+        np.testing.assert_allclose(change, expected, rtol=1e-4)  # (κ l)² is below 1e-4, differences of 1 in 10⁻¹⁶
+
+    def test_focus_distance_is_needed(self):
+        box = Box(np.zeros((3, *GRID.shape)), GRID)
+        with pytest.raises(InputError, match="Missing focus_distance of beams with a probe volume: give one for each"):
+            beam_lines(box, self.focus, self.scan.line_of_sight, probe=PulsedProbe(gate_length=30.0))
+
+
 class TestState:
     def test_a_record_needs_two_scans(self):
         with pytest.raises(InputError, match=r"Invalid duration 1\.5 s for scan '4-beam': .*at least two scans of 1 s"):
@@ -244,12 +382,14 @@ class TestSimulate:
         with pytest.raises(InputError, match="Unknown method of simulation 'magic': it must be one of lines, boxes"):
             simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, method="magic")
 
-    def test_boxes_are_seen_at_points(self):
-        scan = load_scan("pulsed-4-beam-probe")
-        with pytest.raises(InputError, match=r"a probe volume \(pulsed\), and beams in boxes see points: use method"):
-            simulate(scan, WIDE_EDDIES, **SETTINGS, method="boxes")
-        truth = json.loads(simulate(scan, WIDE_EDDIES, **SETTINGS).attrs["truth"])
-        assert truth["probe"]["kind"] == "pulsed"
+    def test_probe_is_told_and_takes_variance(self, settings_of):
+        probed, points = load_scan("pulsed-4-beam-probe"), load_scan("pulsed-4-beam")
+        series = simulate(probed, WIDE_EDDIES, **settings_of)
+        assert json.loads(series.attrs["truth"])["probe"]["kind"] == "pulsed"
+        ratio = float(
+            series["radial_velocity"].var() / simulate(points, WIDE_EDDIES, **settings_of)["radial_velocity"].var()
+        )
+        assert 0.7 < ratio < 0.98  # the same eddies, smoothed; independent eddies would differ by a quarter
 
     def test_number_of_records(self):
         with pytest.raises(InputError, match="Invalid n_records 0"):
