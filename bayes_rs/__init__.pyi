@@ -1,5 +1,8 @@
 from ._version import __version__ as __version__
 from .calibration import calibrate as calibrate
+from .campaign import Campaign as Campaign
+from .campaign import fit_campaign as fit_campaign
+from .campaign import read_summary as read_summary
 from .diagnostics import autocorrelation_time as autocorrelation_time
 from .diagnostics import ess_bulk as ess_bulk
 from .diagnostics import ess_tail as ess_tail
@@ -8,6 +11,7 @@ from .errors import InputError as InputError
 from .errors import MissingExtraError as MissingExtraError
 from .errors import NoiseMismatchError as NoiseMismatchError
 from .errors import NotPositiveDefiniteError as NotPositiveDefiniteError
+from .errors import WorkerError as WorkerError
 from .fitting import fit as fit
 from .forward import Sight as Sight
 from .forward import design_matrix as design_matrix
@@ -28,6 +32,7 @@ from .noise_bank import theory_bank as theory_bank
 from .noise_choice import noise_for_records as noise_for_records
 from .noise_reading import load_noise as load_noise
 from .noise_store import find_shipped_noise as find_shipped_noise
+from .nuisance import Nuisances as Nuisances
 from .planning import Plan as Plan
 from .planning import Step as Step
 from .planning import plan as plan

@@ -37,3 +37,7 @@ class NotPositiveDefiniteError(InputError):
 
 class MissingExtraError(ImportError):
     """An optional package that is needed for what was asked and is not installed."""
+
+
+class WorkerError(RuntimeError):
+    """Worker processes that die again and again."""

@@ -101,9 +101,12 @@ def fit(
     E[y_b] = n·R n (+ instrument noise), times 1 + bias_b for the ensemble target; the noise of y is log-normal with the
     noise model's relative covariance. See `LogNormalLikelihood`, `WeakPrior` and `RecordSampler`.
     """
-    options = _options(prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed)
+    options = fit_options(
+        prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
+    )
     scan, noise, batch = prepare(records, scan, noise)
-    fitted = np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > 0.0) & np.isfinite(batch.yaw))
+    fitted = can_be_fitted(batch)
+    flag = flags_before(records, batch.used, fitted)
     size = batch_size(scan.n_beam)
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
     draws = [
@@ -111,6 +114,8 @@ def fit(
         for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))
     ]
     joined = _joined(draws) if draws else None
+    if joined is not None:
+        flag[fitted] |= flags_after(joined, target_ess)
     return assemble(
         records,
         scan,
@@ -119,7 +124,7 @@ def fit(
         fitted=fitted,
         usable=batch.used,
         draws=joined,
-        flag=result_flags(records, batch.used, fitted, joined, target_ess),
+        flag=flag,
         attributes={
             "target": target,
             "sampler": sampler,
@@ -131,6 +136,11 @@ def fit(
             "n_outside_noise": 0 if joined is None else int(np.count_nonzero(joined.outside)),
         },
     )
+
+
+def can_be_fitted(batch: Batch) -> NDArray[np.int64]:
+    """Return the numbers of the records that have a usable beam, a wind speed and a direction."""
+    return np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > 0.0) & np.isfinite(batch.yaw))
 
 
 def batch_size(n_beam: int) -> int:
@@ -169,7 +179,7 @@ def prepare(
     )
 
 
-def _options(
+def fit_options(
     prior: str | Prior,
     target: str,
     sampler: str,
@@ -258,14 +268,8 @@ def _joined(draws: list[RecordDraws]) -> RecordDraws:
     )
 
 
-def result_flags(
-    records: xr.Dataset,
-    usable: NDArray[np.bool_],
-    fitted: NDArray[np.int64],
-    draws: RecordDraws | None,
-    target_ess: int,
-) -> NDArray[np.int64]:
-    """Return one bit mask for each record; the bits are in `FLAGS`."""
+def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what the records themselves say, as one bit mask for each; the bits are in `FLAGS`."""
     flag = np.zeros(len(usable), dtype=np.int64)
     flag[~usable.any(axis=1)] |= FLAGS["no_usable_beam"]
     flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
@@ -277,10 +281,15 @@ def result_flags(
         for meaning, mask in zip(meanings, masks, strict=True):
             if meaning == "yaw_not_seen":
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS["yaw_not_seen"]
-    if draws is not None:
-        chains = draws.chains
-        flag[fitted[~(chains.ess_bulk.min(axis=1) >= target_ess)]] |= FLAGS["short_chain"]
-        flag[fitted[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)]] |= FLAGS["ensembles_differ"]
-        flag[fitted[chains.pareto_k > PARETO_K_LIMIT]] |= FLAGS["weights_uneven"]
-        flag[fitted[draws.misfit > MISFIT_LIMIT]] |= FLAGS["contradicts_model"]
+    return flag
+
+
+def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:
+    """Return what the draws of fitted records say, as one bit mask for each."""
+    chains = draws.chains
+    flag = np.zeros(len(chains.stress), dtype=np.int64)
+    flag[~(chains.ess_bulk.min(axis=1) >= target_ess)] |= FLAGS["short_chain"]
+    flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)] |= FLAGS["ensembles_differ"]
+    flag[chains.pareto_k > PARETO_K_LIMIT] |= FLAGS["weights_uneven"]
+    flag[draws.misfit > MISFIT_LIMIT] |= FLAGS["contradicts_model"]
     return flag

@@ -95,11 +95,71 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
             raise _cannot_write("", final, error, "give a place that can be written") from error
 
 
+def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwrite: bool) -> Path:
+    """Make a folder that is filled part by part, or find the one that an interrupted run left.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder.
+    key : str
+        Fingerprint of the run: data, options and version.
+    resume : bool
+        Go on in the folder of an interrupted run with the same key.
+    overwrite : bool
+        Replace an existing folder, if an earlier run made it.
+
+    Returns
+    -------
+    folder : Path
+        The folder; its `run.json` holds the key from the beginning.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and is neither to be resumed nor replaced, is of another run, or cannot be written.
+    """
+    final = Path(path)
+    try:
+        if final.is_dir() and resume and not final.is_symlink():
+            found = _run_key(final)
+            if found == key:
+                return final
+            if found is not None and not overwrite:
+                raise InputError(
+                    f"Output folder {str(final)!r} is of a run with other data, options or version, so it cannot be "
+                    "resumed: give the same ones, another name, or overwrite."
+                )
+        elif final.is_dir() and not overwrite and _run_key(final) == key:
+            raise InputError(
+                f"Output folder {str(final)!r} exists, from a run of the same data and options: resume to go on with "
+                "it, or overwrite to begin anew."
+            )
+        _check_free(final, overwrite=overwrite)
+        if final.exists():
+            shutil.rmtree(final)
+        final.mkdir(parents=True)
+        write_run(final, {"key": key, "finished": False})
+    except OSError as error:
+        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
+    return final
+
+
+def _run_key(folder: Path) -> str | None:
+    """Return the key in a folder's run.json; None if there is none."""
+    try:
+        content = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    key = content.get("key") if isinstance(content, dict) else None
+    return key if isinstance(key, str) else None
+
+
 def write_run(folder: Path, content: dict[str, Any]) -> None:
     """Write `run.json`: what was run, with which versions and seed."""
-    (folder / RUN_FILE).write_text(
-        json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    part = folder / f".{RUN_FILE}.{os.getpid()}"
+    part.write_text(json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+    part.replace(folder / RUN_FILE)
 
 
 def _check_no_file(final: Path, *, overwrite: bool) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -39,3 +40,28 @@ def progress(
     """
     silent = not sys.stderr.isatty() if disable is None else disable
     yield from tqdm(iterable, total=total, desc=description, disable=silent, file=sys.stderr, leave=False)
+
+
+@contextmanager
+def progress_counter(total: int, description: str, unit: str, *, disable: bool | None = None) -> Iterator[Any]:
+    """Show how many of a number of things are done, and how many a second, on stderr.
+
+    Parameters
+    ----------
+    total : int
+        How many there are.
+    description : str
+        A few words in front of the bar.
+    unit : str
+        What is counted, with a blank in front.
+    disable : bool, optional
+        As for `progress`.
+
+    Yields
+    ------
+    bar
+        Its ``update(n)`` says that n more are done.
+    """
+    silent = not sys.stderr.isatty() if disable is None else disable
+    with tqdm(total=total, desc=description, unit=unit, disable=silent, file=sys.stderr, leave=False) as bar:
+        yield bar

@@ -34,7 +34,7 @@ FLAGS: dict[str, int] = {
 
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a result, for its outline in figures and for contraction."""
-_PRIOR_SEED = 0
+PRIOR_SEED = 0
 
 
 def flag_words(flag: int) -> str:
@@ -134,7 +134,7 @@ def assemble(
         {"flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)},
     )
     groups["prior"] = xr.Dataset(
-        {"stress": (("chain", "draw", "component"), prior.draw(N_PRIOR_DRAW, _PRIOR_SEED)[None], unit)},
+        {"stress": (("chain", "draw", "component"), prior.draw(N_PRIOR_DRAW, PRIOR_SEED)[None], unit)},
         coords={"component": list(STRESSES)},
     )
     groups["observed_data"] = xr.Dataset(

@@ -8,6 +8,11 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "Campaign",
+    "fit_campaign",
+    "read_summary",
+    "WorkerError",
+    "Nuisances",
     "PulsedProbe",
     "PointProbe",
     "ContinuousWaveProbe",
