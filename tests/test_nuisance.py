@@ -1,0 +1,226 @@
+"""Nuisances: the law of each, calibration with each drawn from its prior, and nothing changed by those that are off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import draw_variances, plain_noise, records_of
+from scipy import stats
+
+from bayes_rs import InputError, Nuisances, fit, load_scan, radial_variance
+from bayes_rs.likelihood import log_normal_likelihood
+from bayes_rs.mixture_likelihood import MixtureLikelihood
+from bayes_rs.noise import NoiseBank
+from bayes_rs.nuisance import RecordNuisances
+from bayes_rs.prior import WeakPrior
+
+N_RECORD = 300
+
+
+def scene(name, seed, n_record=N_RECORD, **overrides):
+    scan = load_scan(name, **overrides)
+    rng = np.random.default_rng(seed)
+    return scan, plain_noise(scan), WeakPrior().draw(n_record, rng), rng
+
+
+def check_coverage(result, stress, variable="stress", truth=None):
+    """Ranks of the truth among the draws are uniform: counts inside intervals, and the whole distribution."""
+    if variable == "stress":
+        draws = result["posterior/stress"].transpose("record", "component", "chain", "draw").values
+        rank = (draws.reshape(*draws.shape[:2], -1) < stress[:, :, None]).mean(axis=-1)
+    else:
+        draws = result[f"posterior/{variable}"].transpose("record", "chain", "draw").values
+        rank = (draws.reshape(len(draws), -1) < truth[:, None]).mean(axis=-1)[:, None]
+    for level in (0.5, 0.9):
+        inside = np.count_nonzero(np.abs(rank - 0.5) < 0.5 * level, axis=0)
+        # up to 12 counts in each of five cases: two-sided 1e-5 gives a false alarm in 1700 seeds
+        assert np.all(inside >= stats.binom.ppf(5e-6, len(rank), level))
+        assert np.all(inside <= stats.binom.ppf(1.0 - 5e-6, len(rank), level))
+    for column in rank.T:
+        assert stats.kstest(column, "uniform").pvalue > 1e-4
+
+
+class TestLaws:
+    def test_none_is_the_same_as_all_off(self):
+        scan, noise, stress, rng = scene("6-beam", 1, 3)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        plain = fit(records, scan, noise=noise, seed=1, target_ess=100)
+        off = fit(records, scan, noise=noise, seed=1, target_ess=100, nuisances=Nuisances())
+        np.testing.assert_array_equal(plain["posterior/stress"].values, off["posterior/stress"].values)
+        assert list(off["posterior"].data_vars) == ["stress"]
+
+    @pytest.mark.parametrize(("yaw", "tilt"), [(0.0, 0.0), (20.0, 5.0), (-50.0, -3.0)])
+    def test_an_error_of_yaw_and_tilt_is_another_scan(self, yaw, tilt):
+        """The nominal beams of Q R Qᵀ measure what the beams that really were there measure of R."""
+        yaw_error, tilt_error = 4.0, -2.0
+        nominal = load_scan("6-beam", yaw_deg=yaw, tilt_deg=tilt)
+        true = load_scan("6-beam", yaw_deg=yaw + yaw_error, tilt_deg=tilt + tilt_error)
+        stress = WeakPrior().draw(5, seed=2)
+        nuisances = RecordNuisances(Nuisances(yaw_sd_deg=2.0, tilt_sd_deg=1.0), np.deg2rad([yaw]))
+        coordinate = np.tile([yaw_error / 2.0, tilt_error / 1.0], (1, 5, 1))
+        turned, offset = nuisances.apply(stress[None], coordinate)
+        assert offset is None
+        np.testing.assert_allclose(radial_variance(nominal, turned[0]), radial_variance(true, stress), rtol=1e-12)
+
+    def test_a_mixture_is_the_weighted_sum_of_its_parts(self):
+        scan, noise, stress, rng = scene("6-beam", 3, 4)
+        variance = draw_variances(stress, scan, noise, rng)
+        shape = (4, scan.n_beam)
+        gain = np.broadcast_to(noise.gain, (*shape, 6))
+        parts = tuple(
+            log_normal_likelihood(
+                variance, np.ones(shape, dtype=bool), gain, np.broadcast_to(k * noise.covariance, (*shape, scan.n_beam))
+            )
+            for k in (0.5, 1.0, 2.0)
+        )
+        weight = np.array([0.2, 0.5, 0.3])
+        mixture = MixtureLikelihood(parts, weight)
+        draws = WeakPrior().draw(20, seed=3).reshape(4, 5, 6)
+        expected = np.log(sum(w * np.exp(part.log_density(draws)) for w, part in zip(weight, parts, strict=True)))
+        np.testing.assert_allclose(mixture.log_density(draws), expected, rtol=1e-12)
+        np.testing.assert_allclose(mixture.take(np.array([2])).log_density(draws[[2]]), expected[[2]], rtol=1e-12)
+
+    def test_the_rule_over_the_length_scale_has_its_moments(self):
+        factor, weight = Nuisances(length_scale_log_sd=0.4).length_scale_nodes()
+        assert weight.sum() == pytest.approx(1.0)
+        assert weight @ np.log(factor) == pytest.approx(0.0, abs=1e-14)
+        assert weight @ np.log(factor) ** 2 == pytest.approx(0.16)
+        assert 1.0 in factor
+
+
+class TestCalibration:
+    def test_yaw_that_is_not_known(self):
+        scan, noise, stress, rng = scene("6-beam", 4, opening_angle_deg=45.0)
+        error = 10.0 * rng.standard_normal(N_RECORD)
+        variance = np.concatenate(
+            [
+                draw_variances(one[None], replace(scan, yaw=np.deg2rad(delta)), noise, rng)
+                for one, delta in zip(stress, error, strict=True)
+            ]
+        )
+        records = records_of(variance, scan)
+        nuisances = Nuisances(yaw_sd_deg=10.0)
+        result = fit(records, scan, noise=noise, seed=1, target_ess=400, sampler="auto", nuisances=nuisances)
+        check_coverage(result, stress)
+        check_coverage(result, stress, "yaw_error", error)
+        wrong = fit(records, scan, noise=noise, seed=1, target_ess=400, sampler="auto")
+        with pytest.raises(AssertionError):  # uv takes the blame for the yaw
+            check_coverage(wrong, stress)
+
+    def test_instrument_noise_that_is_not_known(self):
+        scan, noise, stress, rng = scene("6-beam", 5, opening_angle_deg=45.0)
+        added = 0.05 * np.exp(0.8 * rng.standard_normal(N_RECORD))
+        mean = radial_variance(scan, stress)
+        scatter = draw_variances(stress, scan, noise, rng) / mean
+        records = records_of(scatter * (mean + added[:, None]), scan)
+        nuisances = Nuisances(instrument_noise_log_sd=0.8)
+        result = fit(
+            records,
+            scan,
+            noise=noise,
+            seed=1,
+            target_ess=400,
+            sampler="auto",
+            instrument_noise=0.05,
+            nuisances=nuisances,
+        )
+        check_coverage(result, stress)
+        check_coverage(result, stress, "instrument_noise", added)
+
+    def test_length_scale_that_is_not_known(self):
+        """A bank over L whose covariance doubles with it; each record has an L of its own, which nobody knows."""
+        scan, noise, stress, rng = scene("6-beam", 6)
+        scales = np.array([15.0, 30.0, 60.0, 120.0, 240.0])
+        bank = NoiseBank(
+            tuple(
+                replace(
+                    noise,
+                    covariance=noise.covariance * scale / 60.0,
+                    turbulence=replace(noise.turbulence, length_scale=scale),
+                )
+                for scale in scales
+            )
+        )
+        factor, weight = Nuisances(length_scale_log_sd=0.4).length_scale_nodes()
+        own = 60.0 * rng.choice(factor, N_RECORD, p=weight)
+        variance = np.concatenate(
+            [
+                draw_variances(
+                    one[None],
+                    scan,
+                    replace(noise, covariance=bank.for_records([10.0], [0.0], length_scale=[scale]).covariance[0]),
+                    rng,
+                )
+                for one, scale in zip(stress, own, strict=True)
+            ]
+        )
+        nuisances = Nuisances(length_scale_log_sd=0.4, length_scale=60.0)
+        result = fit(
+            records_of(variance, scan), scan, noise=bank, seed=1, target_ess=400, sampler="auto", nuisances=nuisances
+        )
+        check_coverage(result, stress)
+
+    def test_inflation_that_is_not_known(self):
+        scan, noise, stress, rng = scene("6-beam", 7)
+        inflation = 5.0 / rng.chisquare(5.0, N_RECORD)
+        log_covariance = np.log1p(noise.covariance)
+        mean = np.log(radial_variance(scan, stress)) - 0.5 * np.diag(log_covariance)
+        normal = rng.multivariate_normal(np.zeros(scan.n_beam), log_covariance, N_RECORD, method="eigh")
+        records = records_of(np.exp(mean + np.sqrt(inflation)[:, None] * normal), scan)
+        nuisances = Nuisances(inflation_dof=5.0)
+        result = fit(records, scan, noise=noise, seed=1, target_ess=400, sampler="auto", nuisances=nuisances)
+        check_coverage(result, stress)
+
+
+class TestEffect:
+    def test_every_nuisance_widens(self):
+        scan, noise, stress, rng = scene("6-beam", 8, 20, opening_angle_deg=45.0)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+
+        def width(**options):
+            result = fit(records, scan, noise=noise, seed=1, sampler="direct", target_ess=500, **options)
+            return float(np.log(result["posterior/stress"].std(("chain", "draw")).sel(component="uv")).mean())
+
+        plain = width()
+        assert width(nuisances=Nuisances(yaw_sd_deg=10.0)) > plain + 0.05
+        assert width(nuisances=Nuisances(inflation=2.0)) > plain + 0.1
+        assert width(nuisances=Nuisances(inflation_dof=3.0)) > plain + 0.03
+
+    def test_units_and_names_are_in_the_result(self):
+        scan, noise, stress, rng = scene("6-beam", 9, 2)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        nuisances = Nuisances(yaw_sd_deg=3.0, tilt_sd_deg=1.0, instrument_noise_log_sd=0.5)
+        result = fit(records, scan, noise=noise, seed=1, target_ess=100, nuisances=nuisances, instrument_noise=0.01)
+        units = {name: result["posterior"][name].attrs["units"] for name in ("yaw_error", "tilt_error")}
+        assert units == {"yaw_error": "degree", "tilt_error": "degree"}
+        assert result["posterior"]["instrument_noise"].attrs["units"] == "m2 s-2"
+        assert float(result["posterior"]["instrument_noise"].min()) > 0.0
+        assert "yaw ± 3°" in result.attrs["nuisances"]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"yaw_sd_deg": -1.0}, "Invalid yaw_sd_deg -1"),
+            ({"tilt_sd_deg": np.nan}, "Invalid tilt_sd_deg nan"),
+            ({"inflation": 0.0}, "Invalid inflation 0"),
+            ({"inflation_dof": 2.0}, "Invalid inflation_dof 2.0: it must be above 2"),
+            ({"length_scale": -5.0}, "Invalid length_scale -5"),
+        ],
+    )
+    def test_numbers_that_make_no_sense(self, options, message):
+        with pytest.raises(InputError, match=message):
+            Nuisances(**options)
+
+    def test_noise_of_one_length_scale_cannot_be_averaged(self):
+        scan, noise, stress, rng = scene("6-beam", 10, 2)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        with pytest.raises(InputError, match="knows one length scale only"):
+            fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(length_scale_log_sd=0.3))
+
+    def test_uncertain_instrument_noise_needs_a_median(self):
+        scan, noise, stress, rng = scene("6-beam", 11, 2)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        with pytest.raises(InputError, match="Invalid instrument_noise 0"):
+            fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(instrument_noise_log_sd=0.3))
