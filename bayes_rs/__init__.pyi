@@ -7,6 +7,8 @@ from .diagnostics import autocorrelation_time as autocorrelation_time
 from .diagnostics import ess_bulk as ess_bulk
 from .diagnostics import ess_tail as ess_tail
 from .diagnostics import r_hat as r_hat
+from .direction_table import direction_words as direction_words
+from .direction_table import directions as directions
 from .errors import InputError as InputError
 from .errors import MissingExtraError as MissingExtraError
 from .errors import NoiseMismatchError as NoiseMismatchError
@@ -39,7 +41,11 @@ from .planning import plan as plan
 from .plots import plot_corner as plot_corner
 from .plots import plot_stresses as plot_stresses
 from .prior import FlatPrior as FlatPrior
+from .prior import GaussianPrior as GaussianPrior
+from .prior import MannPrior as MannPrior
 from .prior import Prior as Prior
+from .prior import RatioPrior as RatioPrior
+from .prior import SamplePrior as SamplePrior
 from .prior import WeakPrior as WeakPrior
 from .prior import make_prior as make_prior
 from .probe import ContinuousWaveProbe as ContinuousWaveProbe

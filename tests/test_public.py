@@ -8,6 +8,8 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "directions",
+    "direction_words",
     "Campaign",
     "fit_campaign",
     "read_summary",
@@ -23,6 +25,10 @@ PUBLIC = [
     "LineMaker",
     "gap_noise",
     "FlatPrior",
+    "GaussianPrior",
+    "MannPrior",
+    "RatioPrior",
+    "SamplePrior",
     "InputError",
     "MannTurbulence",
     "MissingExtraError",
