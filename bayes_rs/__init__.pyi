@@ -48,6 +48,7 @@ from .prior import RatioPrior as RatioPrior
 from .prior import SamplePrior as SamplePrior
 from .prior import WeakPrior as WeakPrior
 from .prior import make_prior as make_prior
+from .prior_check import prior_sensitivity as prior_sensitivity
 from .probe import ContinuousWaveProbe as ContinuousWaveProbe
 from .probe import PointProbe as PointProbe
 from .probe import PulsedProbe as PulsedProbe

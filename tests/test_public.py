@@ -8,6 +8,7 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "prior_sensitivity",
     "directions",
     "direction_words",
     "Campaign",

@@ -1,0 +1,91 @@
+"""The interface of all priors, and what several of them share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Self
+
+import numpy as np
+
+from bayes_rs._validation import FloatArray, as_generator, check_positive
+from bayes_rs.errors import InputError
+
+N_COORDINATE = 6
+"""Number of coordinates of most priors: one for each stress."""
+
+_WIDTH_DRAWS = 200_000
+_WIDTH_SEED = 20
+
+
+class Prior(ABC):
+    """The narrow interface of all priors: a name, words, unbounded coordinates and the map from them to stresses."""
+
+    name: str
+
+    @property
+    def n_coordinate(self) -> int:
+        """Number of coordinates; six for most."""
+        return N_COORDINATE
+
+    @abstractmethod
+    def stress(self, coordinate: FloatArray) -> FloatArray:
+        """Map coordinates, shape (..., n_coordinate), to stresses, shape (..., 6), m² s⁻²; smooth."""
+
+    @abstractmethod
+    def log_density(self, coordinate: FloatArray) -> FloatArray:
+        """Return the normalized log-density, shape (...), of coordinates, shape (..., n_coordinate); smooth."""
+
+    @abstractmethod
+    def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
+        """Draw coordinates from the prior, shape (n_draw, n_coordinate)."""
+
+    @abstractmethod
+    def in_words(self) -> str:
+        """Say in one line what the prior assumes."""
+
+    def draw(self, n_draw: int, seed: int | np.random.Generator) -> FloatArray:
+        """Draw stresses from the prior, shape (n_draw, 6), m² s⁻²."""
+        return self.stress(self.draw_coordinate(n_draw, as_generator(seed)))
+
+    def interval_widths(self, prob: float = 0.9) -> FloatArray:
+        """Return the width of the central interval of each stress, shape (6,), m² s⁻².
+
+        From 200 000 draws with a fixed seed; the relative error is below a per cent for 90 % unless the prior's tails
+        are very long.
+        """
+        check_positive(prob, what="prob", unit="")
+        if prob >= 1.0:
+            raise InputError(f"Invalid prob {prob}: it must be a probability, above 0 and below 1.")
+        ends = np.quantile(self.draw(_WIDTH_DRAWS, _WIDTH_SEED), [0.5 - 0.5 * prob, 0.5 + 0.5 * prob], axis=0)
+        return np.asarray(ends[1] - ends[0])
+
+    def widened(self, factor: float) -> Self:
+        """Return the same prior with all its widths multiplied by `factor`: for checks of what the prior decides."""
+        raise InputError(f"Prior {self.name!r} cannot be widened by {factor:g}: give it the method `widened`.")
+
+
+class NormalPrior(Prior):
+    """A prior whose coordinates are independent and standard normal: all of its content is in the map."""
+
+    def log_density(self, coordinate: FloatArray) -> FloatArray:
+        """Return the log-density of the coordinates, which are independent and standard normal."""
+        square = np.sum(coordinate**2, axis=-1, dtype=np.float64)
+        return np.asarray(-0.5 * square - 0.5 * self.n_coordinate * np.log(2.0 * np.pi))
+
+    def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
+        """Draw coordinates from the prior."""
+        return rng.standard_normal((n_draw, self.n_coordinate))
+
+
+def stress_from_correlations(log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray) -> FloatArray:
+    """Build stresses from log-variances and (ρ_uv, ρ_uw, partial ρ_vw·u); realizable for every |ρ| ≤ 1."""
+    rho_uv, rho_uw, partial = rho[..., 0], rho[..., 1], rho[..., 2]
+    rho_vw = rho_uv * rho_uw + partial * np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
+    stress = np.empty((*log_uu.shape, N_COORDINATE))
+    stress[..., 0] = np.exp(log_uu)
+    stress[..., 1] = np.exp(log_vv)
+    stress[..., 2] = np.exp(log_ww)
+    stress[..., 3] = rho_uv * np.exp(0.5 * (log_uu + log_vv))
+    stress[..., 4] = rho_uw * np.exp(0.5 * (log_uu + log_ww))
+    stress[..., 5] = rho_vw * np.exp(0.5 * (log_vv + log_ww))
+    return stress
