@@ -20,7 +20,7 @@ from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT, Chains
 from bayes_rs.scan import Scan
 
 TARGETS = ("record", "ensemble")
-MISFIT_LIMIT = 5.0
+MISFIT_LIMIT = 3.0
 """A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""

@@ -517,7 +517,7 @@ class TestBadOptions:
     @pytest.mark.parametrize(
         ("option", "parts"),
         [
-            (["--prior", "vague"], ["Unknown prior 'vague': it must be one of weak, flat."]),
+            (["--prior", "vague"], ["Unknown prior 'vague': it must be one of weak, flat, ratio, mann."]),
             (["--target", "sonic"], ["Unknown target 'sonic': it must be one of record, ensemble."]),
             (["--ess", "0"], ["Invalid target_ess 0: it must be a whole number of at least 1."]),
             (["--seed", "-1"], ["Invalid seed -1"]),

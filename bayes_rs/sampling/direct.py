@@ -19,7 +19,9 @@ from bayes_rs.sampling.streams import RecordStreams
 _RESAMPLING = 0.25
 """Largest variance of the number of copies that systematic resampling makes of one draw."""
 _BATCH = 32
-"""Records that are evaluated together: their draws fit into the processor's cache."""
+"""Records that are evaluated together."""
+_BLOCK_NUMBERS = 4_000_000
+"""Expected variances, of records × draws × beams, that are evaluated together: 32 MB."""
 
 
 def sample_direct(
@@ -108,7 +110,7 @@ def _draw(
     turned = (normal @ turn).reshape(n, -1, k)
     spread = np.broadcast_to(chi_square.reshape(-1), (n, N_ENSEMBLE * size))
     coordinate = around.transform(turned, spread)
-    log_weight = some.log_density(coordinate) - around.log_density_of(turned, spread)
+    log_weight = _log_density(some, coordinate) - around.log_density_of(turned, spread)
     peak = log_weight.max(axis=1, keepdims=True)
     weight = np.exp(log_weight - np.where(np.isfinite(peak), peak, 0.0))
     weight = weight / weight.sum(axis=1, keepdims=True)
@@ -128,6 +130,16 @@ def _draw(
     mean = np.einsum("rd,rdk->rk", weight, coordinate)
     centred = coordinate - mean[:, None, :]
     return mean, (centred * weight[..., None]).swapaxes(-1, -2) @ centred
+
+
+def _log_density(posterior: Posterior, coordinate: FloatArray) -> FloatArray:
+    """Return the log-posterior in blocks of draws, whose size does not depend on the number of records."""
+    n_draw = coordinate.shape[1]
+    block = max(_BLOCK_NUMBERS // (_BATCH * posterior.likelihood.gain.shape[1]), 256)
+    if block >= n_draw:
+        return posterior.log_density(coordinate)
+    parts = [posterior.log_density(coordinate[:, start : start + block]) for start in range(0, n_draw, block)]
+    return np.concatenate(parts, axis=1)
 
 
 @lru_cache(maxsize=8)
