@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from bayes_rs._validation import FloatArray, check_non_negative, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.priors.interface import NormalPrior, stress_from_correlations
+from bayes_rs.priors.interface import Prior, stress_from_correlations
 
 LARGEST_GAMMA = 6.0
 """Where the table of shapes ends."""
@@ -131,7 +131,7 @@ def family_shape(gamma: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MannPrior(NormalPrior):
+class MannPrior(Prior):
     """Stresses on or near those of Mann turbulence: any size, any Γ of a range, and a stated tolerance.
 
     Parameters
@@ -153,12 +153,13 @@ class MannPrior(NormalPrior):
 
     Notes
     -----
-    Seven independent standard normal coordinates: size, Γ through its distribution function, and five deviations,
+    Seven independent standard normal numbers: size z₁, Γ through its distribution function, and five deviations,
 
-        uu = s r_uu(Γ),  ln(vv/uu) = ln r_vv/r_uu + tolerance·z₃,  …,  artanh ρ_uw = artanh ρ_uw(Γ) + tolerance·z₆,
+        uu = s r_uu(Γ),  ln s = ln size + sd_size·z₁,  ln(vv/uu) = ln r_vv/r_uu + tolerance·z₃,  …,  artanh ρ_uw = artanh ρ_uw(Γ) + tolerance·z₆,
 
     with r(Γ) the one-point stresses of the Mann model (Mann 1994). ρ_uv and the partial correlation ρ_vw·u are 0 in the
-    model. It is the model of an infinite record: use it with ``target="ensemble"``, or allow for what the removal of
+    model. The first coordinate is z₁ + ln r_uu(Γ)/sd_size: it moves uu alone, which the beams see best, so that size and
+    Γ are nearly independent of each other in a posterior. It is the model of an infinite record: use it with ``target="ensemble"``, or allow for what the removal of
     the record's mean does to the ratios (uu loses the most) through the tolerance.
 
     References
@@ -201,13 +202,25 @@ class MannPrior(NormalPrior):
 
     def stress(self, coordinate: FloatArray) -> FloatArray:
         """Map coordinates to stresses."""
-        log_uu, log_vv, log_ww, z_uw = family_shape(self.gamma(coordinate))
-        log_uu = log_uu + np.log(self.size) + self.sd_size * coordinate[..., 0]
+        _, log_vv, log_ww, z_uw = family_shape(self.gamma(coordinate))
+        log_uu = np.log(self.size) + self.sd_size * coordinate[..., 0]
         log_vv = log_uu + log_vv + self.tolerance * coordinate[..., 2]
         log_ww = log_uu + log_ww + self.tolerance * coordinate[..., 3]
         fisher = self.tolerance * coordinate[..., 4:]
         fisher[..., 1] += z_uw
         return stress_from_correlations(log_uu, log_vv, log_ww, np.tanh(fisher))
+
+    def log_density(self, coordinate: FloatArray) -> FloatArray:
+        """Return the log-density of the coordinates; the size given Γ is normal."""
+        size = coordinate[..., 0] - family_shape(self.gamma(coordinate))[0] / self.sd_size
+        square = size**2 + np.sum(coordinate[..., 1:] ** 2, axis=-1)
+        return np.asarray(-0.5 * square - 0.5 * self.n_coordinate * np.log(2.0 * np.pi))
+
+    def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
+        """Draw coordinates from the prior."""
+        coordinate = rng.standard_normal((n_draw, self.n_coordinate))
+        coordinate[:, 0] += family_shape(self.gamma(coordinate))[0] / self.sd_size
+        return coordinate
 
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""
