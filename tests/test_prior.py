@@ -331,8 +331,9 @@ class TestMann:
         assert np.abs(family_shape(gamma) - wanted).max() < 1e-7  # what it is: the printed digits
 
     def test_no_tolerance_lies_on_the_family(self):
-        prior = MannPrior(tolerance=1e-12, size=0.775, sd_size=1e-12, gamma_low=3.0, gamma_high=3.4)
-        stress = prior.stress(np.array([0.0, 0.0, 1.0, -2.0, 3.0, 1.0, -1.0]))
+        prior = MannPrior(tolerance=1e-12, size=0.775, sd_size=0.5, gamma_low=3.0, gamma_high=3.4)
+        median_size = np.log(scaled_stresses(3.2)[0]) / 0.5
+        stress = prior.stress(np.array([median_size, 0.0, 1.0, -2.0, 3.0, 1.0, -1.0]))
         np.testing.assert_allclose(stress, 0.775 * np.array(scaled_stresses(3.2)), rtol=1e-6, atol=1e-10)
 
     def test_gamma_is_uniform_in_its_range(self):

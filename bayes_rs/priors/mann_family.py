@@ -155,12 +155,14 @@ class MannPrior(Prior):
     -----
     Seven independent standard normal numbers: size z₁, Γ through its distribution function, and five deviations,
 
-        uu = s r_uu(Γ),  ln s = ln size + sd_size·z₁,  ln(vv/uu) = ln r_vv/r_uu + tolerance·z₃,  …,  artanh ρ_uw = artanh ρ_uw(Γ) + tolerance·z₆,
+        ln s = ln size + sd_size·z₁,  uu = s r_uu(Γ),  ln(vv/uu) = ln r_vv/r_uu + tolerance·z₃,  …,
+        artanh ρ_uw = artanh ρ_uw(Γ) + tolerance·z₆,
 
     with r(Γ) the one-point stresses of the Mann model (Mann 1994). ρ_uv and the partial correlation ρ_vw·u are 0 in the
-    model. The first coordinate is z₁ + ln r_uu(Γ)/sd_size: it moves uu alone, which the beams see best, so that size and
-    Γ are nearly independent of each other in a posterior. It is the model of an infinite record: use it with ``target="ensemble"``, or allow for what the removal of
-    the record's mean does to the ratios (uu loses the most) through the tolerance.
+    model. The first coordinate is z₁ + ln r_uu(Γ)/sd_size: it moves uu alone, which the beams see best, so that size
+    and Γ are nearly independent of each other in a posterior. It is the model of an infinite record: use it with
+    ``target="ensemble"``, or allow for what the removal of the record's mean does to the ratios (uu loses the most)
+    through the tolerance.
 
     References
     ----------
