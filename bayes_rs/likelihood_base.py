@@ -57,7 +57,10 @@ class Likelihood(ABC):
 
     @abstractmethod
     def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
-        """Return residuals, shape (n_record, n_draw, n_seen): half the sum of their squares is −log_density + const."""
+        """Return residuals, shape (n_record, n_draw, n_seen): half their square has the curvature of −log_density.
+
+        The sum of their squares, halved, is −log_density but for a constant, or the logarithm of a determinant.
+        """
 
     def expected(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
         """Return the expected variances of the beams, shape (n_record, n_draw, n_beam), m² s⁻²."""

@@ -116,7 +116,6 @@ def plugin_likelihood(
     left, seen = seen_directions(data.gain / fitted[:, :, None])
     factor = factor_reduced(left.swapaxes(-1, -2) @ relative @ left, seen, variance.shape[1], what="covariance")
     scaled = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2) / fitted[:, None, :]), dtype=np.float64)
-    scaled = np.where(used[:, None, :], scaled, 0.0)
     n_datum = seen.sum(axis=1).astype(np.int64)
     # the density of Uᵀ D⁻¹ y; D is fixed, so its determinant would only be another constant
     log_determinant = 2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1)

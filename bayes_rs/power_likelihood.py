@@ -23,8 +23,6 @@ from bayes_rs.likelihood_base import (
 )
 
 _CUBE_ROOT = 1.0 / 3.0
-_LIFT = 1e4
-"""Added to the log-determinant so that it has a square root; so large that the root adds no curvature of its own."""
 _DROPPED = 1e-9
 """Share of the smallest reduced eigenvalue that the dropped eigenvalues of the noise may have together."""
 _NUMBERS = 2_000_000
@@ -94,14 +92,11 @@ class PowerLikelihood(Likelihood):
         return np.where(np.isfinite(density), density, -np.inf)
 
     def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
-        """Return residuals, shape (n_record, n_draw, n_seen + 1).
+        """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6).
 
-        The last is the root of the log-determinant, lifted by a constant to make it positive: so half the sum of the
-        squares has the gradient of −log_density, and not only that of its quadratic form.
+        The determinant has no part in them: its logarithm is nearly linear in ln R, and adds no curvature.
         """
-        residual, log_determinant = self._whiten(stress, offset)
-        last = np.sqrt(_LIFT + log_determinant)
-        return np.concatenate([with_tails(residual, self.n_datum, self.dof), last[:, :, None]], axis=2)
+        return with_tails(self._whiten(stress, offset)[0], self.n_datum, self.dof)
 
     def _whiten(self, stress: FloatArray, offset: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """Return whitened residuals (n_record, n_draw, n_seen) and log-determinants; NaN where m is not positive."""
@@ -161,7 +156,6 @@ def power_likelihood(
     centre, of_power = power_moments(inflation * data.relative_covariance(covariance), power)
     reference = np.where(used, data.gain @ REFERENCE_STRESS, 1.0)
     left, seen = seen_directions(data.gain / reference[:, :, None])
-    left = left * used[:, :, None]
     reduced = left.swapaxes(-1, -2) @ of_power @ left
     factor_reduced(reduced, seen, variance.shape[1], what="covariance")
     root, sign = _signed_root(of_power, np.linalg.eigvalsh(reduced + unit_pivots(seen)).min(axis=1))

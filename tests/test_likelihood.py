@@ -1,14 +1,20 @@
 """The likelihood: against the textbook density, its reduction, and its refusals."""
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from scenes import draw_variances, plain_noise
 from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
 from bayes_rs.forward import design_matrix
-from bayes_rs.likelihood import log_normal_likelihood
+from bayes_rs.likelihood import LIKELIHOODS, log_normal_likelihood
 from bayes_rs.prior import WeakPrior
+
+ROOT = Path(__file__).parents[1]
 
 
 def build(scan, variance, used=None, *, covariance=None, offset=0.0):
@@ -130,6 +136,68 @@ def test_a_tensor_that_gives_a_beam_no_variance_has_likelihood_zero():
     tensor = np.outer(across, across)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     assert likelihood.log_density(np.array([[tensor, -tensor, 1e-3 - tensor]]))[0].max() < -100.0
     assert np.isneginf(likelihood.log_density(np.array([[-np.ones(6)]]))[0, 0])
+
+
+@pytest.mark.parametrize(("name", "n_draw"), [("6-beam", 3), ("6-beam", 20_000), ("spinnerlidar", 400)])
+def test_draws_do_not_depend_on_those_beside_them(name, n_draw):
+    """Records and draws are worked on in blocks: several records, one record, and parts of a record at a time."""
+    scan = load_scan(name)
+    truth = WeakPrior(log_sd_uu=0.5).draw(3, seed=1)
+    likelihood = build(scan, draw_variances(truth, scan, plain_noise(scan), np.random.default_rng(9)))
+    stress = WeakPrior(log_sd_uu=0.5).draw(3 * n_draw, seed=2).reshape(3, n_draw, 6)
+    noise = np.linspace(0.0, 0.1, 3 * n_draw).reshape(3, n_draw)
+    together = likelihood.log_density(stress, noise)
+    for record in range(3):
+        for draws in (slice(0, 2), slice(n_draw - 1, n_draw)):
+            alone = likelihood.take(np.array([record])).log_density(stress[[record], draws], noise[[record], draws])
+            np.testing.assert_allclose(alone[0], together[record, draws], rtol=1e-11)  # order of the sums
+
+
+def test_names_of_the_likelihoods():
+    """They are options of `fit` and stand in results."""
+    assert list(LIKELIHOODS) == ["log-normal", "gaussian-plugin", "gaussian", "gamma"]
+
+
+@pytest.fixture(scope="module")
+def benchmark_of_likelihoods():
+    path = ROOT / "benchmarks" / "likelihoods.py"
+    spec = importlib.util.spec_from_file_location("likelihoods", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return pd.read_csv(ROOT / "benchmarks" / "likelihoods.csv")
+
+
+class TestTheChoice:
+    """The default is chosen by a measurement; the page that says so must say what was measured."""
+
+    def test_the_tables_in_the_docs_are_those_that_were_measured(self, benchmark_of_likelihoods, measured):
+        lines = (ROOT / "docs" / "likelihood.md").read_text(encoding="utf-8").replace("−", "-").splitlines()
+        shown = [line for line in lines if line.startswith(("| weak |", "| flat |"))]
+        assert shown == benchmark_of_likelihoods.summary(measured)
+        costs = benchmark_of_likelihoods.costs(measured)
+        assert [line for line in lines if line in costs] == costs
+
+    def test_all_likelihoods_were_measured_on_enough_records(self, measured):
+        assert set(measured["likelihood"]) == set(LIKELIHOODS)
+        lines = measured[measured["source"] == "lines"]
+        assert lines["trusted"].min() >= 900
+        assert measured.groupby(["scan", "prior", "source", "likelihood"]).ngroups == 4 * 2 * 2 * 4
+
+    def test_the_default_is_as_well_calibrated_as_the_best(self, measured):
+        """Mean coverages of the log-normal are nominal to a point, and no other has a better score by a percent."""
+        lines = measured[measured["source"] == "lines"]
+        for _, part in lines.groupby("prior"):
+            mean = part.groupby("likelihood").mean(numeric_only=True)
+            for level in (50, 80, 90, 95):
+                assert mean.loc["log-normal", f"cover_{level}"] == pytest.approx(level / 100.0, abs=0.01)
+            assert mean.loc["log-normal", "score"] < 1.01 * mean["score"].min()
 
 
 class TestRefusals:
