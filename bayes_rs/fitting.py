@@ -19,7 +19,7 @@ from bayes_rs.sampling import SAMPLERS
 from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT, Chains
 from bayes_rs.scan import Scan
 
-TARGETS = ("record", "ensemble")
+TARGETS = ("record", "ensemble", "sonic")
 MISFIT_LIMIT = 3.0
 """A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
 _CHUNK = 256
@@ -62,8 +62,11 @@ def fit(
     prior : str or Prior
         ``"weak"``, ``"flat"``, or a prior with other parameters.
     target : str
-        Which R: ``"record"``, the expected tensor of one averaging period with its own mean removed, or ``"ensemble"``,
-        the tensor of an infinite record.
+        Which R: ``"record"``, the expected tensor of one averaging period with its own mean removed; ``"ensemble"``,
+        the tensor of an infinite record; or ``"sonic"``, the tensor that a sonic at the rotor's centre (at the lidar)
+        would have measured in this very record, its own mean removed. The last needs noise made with ``sonic=True`` and
+        the log-normal likelihood; the attribute ``sonic_clipped`` of the result is the largest share of a covariance
+        that was clipped for it (`bayes_rs.sonic.CLIP_LIMIT`).
     sampler : str
         ``"emcee"``: one emcee ensemble for many records, driven by proposals fitted to each. ``"direct"``: independent
         draws of such proposals, weighted and resampled; the quickest. ``"auto"``: direct, and emcee for the records
@@ -100,6 +103,10 @@ def fit(
     -----
     E[y_b] = n·R n (+ instrument noise), times 1 + bias_b for the ensemble target; the noise of y is log-normal with the
     noise model's relative covariance. See `LogNormalLikelihood`, `WeakPrior` and `RecordSampler`.
+
+    For the target ``"sonic"``, R of the record is sampled first; the prior, and the contraction against it, are those
+    of R. Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
+    (`SonicFactor`). S is what the group ``posterior`` holds, and what ESS and R-hat are of (`draw_sonic`).
     """
     options = fit_options(
         prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
@@ -134,6 +141,7 @@ def fit(
             "seed": int(seed),
             "target_ess": target_ess,
             "n_outside_noise": 0 if joined is None else int(np.count_nonzero(joined.outside)),
+            **({"sonic_clipped": 0.0 if joined is None else float(joined.clipped.max())} if target == "sonic" else {}),
         },
     )
 
@@ -195,6 +203,11 @@ def fit_options(
     check_choice(target, TARGETS, what="target")
     check_choice(sampler, tuple(SAMPLERS), what="sampler")
     check_choice(likelihood, tuple(LIKELIHOODS), what="likelihood")
+    if target == "sonic" and likelihood != "log-normal":
+        raise InputError(
+            f"Invalid likelihood {likelihood!r} for the target 'sonic': only for 'log-normal' is it known how the "
+            "sonic and the beams scatter together."
+        )
     check_count(target_ess, what="target_ess")
     check_count(max_extension, what="max_extension", minimum=0)
     check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
@@ -203,6 +216,11 @@ def fit_options(
     if uncertain.instrument_noise_log_sd > 0.0 and instrument_noise == 0.0:
         raise InputError(
             "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²."
+        )
+    if uncertain.length_scale_log_sd > 0.0 and likelihood == "gaussian-plugin":
+        raise InputError(
+            "The likelihood 'gaussian-plugin' cannot be averaged over the length scale, because its reduced data depend "
+            "on the noise: use another likelihood."
         )
     return FitOptions(
         prior=chosen,
@@ -265,6 +283,7 @@ def _joined(draws: list[RecordDraws]) -> RecordDraws:
         np.concatenate([part.predicted for part in draws]),
         np.concatenate([part.misfit for part in draws]),
         np.concatenate([part.outside for part in draws]),
+        np.concatenate([part.clipped for part in draws]),
     )
 
 

@@ -14,6 +14,8 @@ from bayes_rs.posterior import Posterior
 DEGREES_OF_FREEDOM = 6.0
 _FLAT_ENOUGH = 1e-3
 """A record stops when a step gains less than this in log-posterior, or no step longer than this gains anything."""
+_LONGEST_STEP = 3.0
+"""No coordinate moves farther than this in a step: the prior's own spread is about 1."""
 _LEAST_BEND = 1e-2
 """Least curvature of the log-prior that the proposal uses: it may be too wide, never without bound."""
 _STEP = 1e-4
@@ -107,6 +109,8 @@ def laplace_proposal(posterior: Posterior, *, max_iteration: int = 30) -> Studen
         part = posterior.take(going)
         gradient, precision = _curvature(part, mode[going])
         step = np.linalg.solve(precision + damping[going, None, None] * identity, gradient[..., None])[..., 0]
+        longest = np.abs(step).max(axis=1, keepdims=True)
+        step = step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _LONGEST_STEP))
         trial = mode[going] + step
         trial_height = part.log_density(trial[:, None, :])[:, 0]
         better = trial_height > height[going]

@@ -3,9 +3,9 @@
 Truths are drawn from the prior. A record's variances are the expected ones of its truth times relative deviations:
 drawn from the noise model itself ("model"), or those of records that the line simulator made of Gaussian turbulence
 ("lines") or that beams measured in Mann boxes ("boxes"), which know nothing of a log-normal. Every line of the table is
-one set of records; the columns are the shares of records whose central 50, 80, 90 and 95 % intervals hold the truth, of
-the stress where that is farthest from nominal; the same of uu at 90 %; the largest bias of a posterior mean in posterior
-standard deviations; the smallest of the six stresses' probabilities that ranks so uneven come from a uniform
+one set of records; the columns are the shares of records whose central 50, 80, 90 and 95 % intervals hold the truth,
+of the stress where that is farthest from nominal; the same of uu at 90 %; the largest bias of a posterior mean in
+posterior standard deviations; the smallest of the six stresses' probabilities that ranks so uneven come from a uniform
 distribution, times six; and the share of records that missed the target of the sampler.
 """
 
