@@ -11,13 +11,14 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.likelihood import Likelihood, make_likelihood
 from bayes_rs.mixture_likelihood import MixtureLikelihood
-from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise
+from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise, SonicNoise
 from bayes_rs.nuisance import Nuisances, RecordNuisances
 from bayes_rs.posterior import Posterior
 from bayes_rs.prior import Prior
 from bayes_rs.sampling import sample
 from bayes_rs.sampling.chains import BLOCK, Chains
 from bayes_rs.sampling.streams import RecordStreams
+from bayes_rs.sonic import ESS_MARGIN, draw_sonic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +113,8 @@ class RecordDraws:
         Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
     outside : ndarray of bool, shape (n_record,)
         Whether the noise bank does not reach to the record.
+    clipped : ndarray, shape (n_record,)
+        What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
     """
 
     chains: Chains
@@ -119,6 +122,7 @@ class RecordDraws:
     predicted: FloatArray
     misfit: FloatArray
     outside: NDArray[np.bool_]
+    clipped: FloatArray
 
 
 def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, *, predict: bool = True) -> RecordDraws:
@@ -141,12 +145,13 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
         Bit by bit the same whatever other records are in the batch.
     """
     posterior, at_record = make_posterior(batch, noise, options)
+    sonic = _sonic_noise(batch, noise, options) if options.target == "sonic" else []
     chains, streams = sample(
         options.sampler,
         posterior,
         seed=options.seed,
         keys=batch.key,
-        target_ess=options.target_ess,
+        target_ess=int(np.ceil(ESS_MARGIN * options.target_ess)) if sonic else options.target_ess,
         max_extension=options.max_extension,
     )
     some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK]
@@ -159,6 +164,9 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
         root = _symmetric_root(log_covariance, at_record.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     whole = chains.coordinate.reshape(len(batch), -1, some.shape[-1])
+    clipped = np.zeros(len(batch))
+    if sonic:
+        chains, clipped = draw_sonic(posterior, chains, sonic, streams, inflation=options.nuisances.inflation)
     return RecordDraws(
         chains,
         {
@@ -168,6 +176,7 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
         predicted,
         _misfit(expected, np.einsum("rbb->rb", log_covariance), batch),
         at_record.outside,
+        clipped,
     )
 
 
@@ -200,8 +209,26 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
     return Posterior(likelihood, options.prior, nuisances), at_record
 
 
+def _sonic_noise(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> list[SonicNoise]:
+    """Return the moments of a sonic with the beams, for each length scale that the posterior is averaged over."""
+    factors, _ = options.nuisances.length_scale_nodes()
+    return [
+        noise.sonic_for_records(
+            batch.wind_speed, batch.yaw, **_own_flow(noise, batch, options.nuisances, float(factor))
+        )
+        for factor in factors
+    ]
+
+
 def _noise_of(noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
+    return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+
+
+def _own_flow(
+    noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float
+) -> dict[str, FloatArray]:
+    """Return the length scale and Γ of records, for a bank; a single model takes none."""
     own = dict(batch.flow)
     if nuisances.length_scale_log_sd > 0.0:
         if isinstance(noise, NoiseModel) or np.ptp(np.log(noise.length_scale)) == 0.0:
@@ -217,9 +244,7 @@ def _noise_of(noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances,
                 "that name."
             )
         own["length_scale"] = factor * own["length_scale"]
-    if isinstance(noise, NoiseModel):
-        return noise.for_records(batch.wind_speed, batch.yaw)
-    return noise.for_records(batch.wind_speed, batch.yaw, **own)
+    return {} if isinstance(noise, NoiseModel) else own
 
 
 def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], streams: RecordStreams) -> FloatArray:

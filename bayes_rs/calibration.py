@@ -26,6 +26,9 @@ from bayes_rs.virtual import RecordState
 NOISE_VERSION = 1
 """Counts the changes of this module that change its numbers: noise that an older one cached is not used again."""
 
+SONIC_VERSION = 1
+"""The same for the moments with a sonic."""
+
 DEFAULT_SEED = 1
 """Seed of the shipped noise, and the default of `calibrate`."""
 
@@ -41,6 +44,7 @@ def calibrate(
     n_boxes: int = 100,
     seed: int | np.random.Generator = DEFAULT_SEED,
     cache: bool | str | Path = True,
+    sonic: bool = False,
     progress: bool | None = None,
 ) -> NoiseModel | NoiseBank:
     """Calibrate the noise of a scan's beam variances.
@@ -66,6 +70,9 @@ def calibrate(
         Same seed, same numbers. Nothing is cached with a Generator.
     cache : bool, str or Path
         True to use the shipped noise and the user's cache folder, False for neither, or another folder for the cache.
+    sonic : bool
+        Add the joint moments with the stresses of a sonic at the rotor's centre, which the target ``"sonic"`` of `fit`
+        needs; by theory only.
     progress : bool, optional
         Show a progress bar; by default if stderr is a terminal.
 
@@ -109,7 +116,7 @@ def calibrate(
     """
     states = _states(scan, wind_speed, yaw_deg, duration)
     models = noise_at_states(
-        states, turbulence, method=method, n_boxes=n_boxes, seed=seed, cache=cache, progress=progress
+        states, turbulence, method=method, n_boxes=n_boxes, seed=seed, cache=cache, sonic=sonic, progress=progress
     )
     is_bank = any(np.ndim(value) > 0 for value in (wind_speed, yaw_deg) if value is not None)
     return NoiseBank(tuple(models)) if is_bank else models[0]
@@ -123,6 +130,7 @@ def noise_at_states(
     n_boxes: int = 100,
     seed: int | np.random.Generator = DEFAULT_SEED,
     cache: bool | str | Path = True,
+    sonic: bool = False,
     progress: bool | None = None,
 ) -> list[NoiseModel]:
     """Return the noise of several states of one scan: shipped, cached, or calculated and then cached.
@@ -131,7 +139,7 @@ def noise_at_states(
     ----------
     states : sequence of RecordState
         Mean winds, wind directions and record lengths, all of one scan.
-    turbulence, method, n_boxes, seed, cache, progress
+    turbulence, method, n_boxes, seed, cache, sonic, progress
         As for `calibrate`.
 
     Returns
@@ -142,12 +150,17 @@ def noise_at_states(
     Raises
     ------
     InputError
-        If the method is unknown or a number is not valid.
+        If the method is unknown or a number is not valid, or boxes are asked for with a sonic.
     MissingExtraError
         If boxes are needed and hipersim is not installed.
     """
     if method not in METHODS:
         raise InputError(f"Unknown method of calibration {method!r}: it must be one of {', '.join(METHODS)}.")
+    if sonic and method != "theory":
+        raise InputError(
+            f"Invalid method {method!r} for noise with a sonic: only method='theory' has the joint moments of the "
+            "beams and a sonic."
+        )
     check_count(n_boxes, what="n_boxes", minimum=2)
     if cache is True and method == "boxes" and not isinstance(seed, np.random.Generator) and seed == DEFAULT_SEED:
         shipped = [
@@ -159,15 +172,21 @@ def noise_at_states(
         ]
         if len(enough) == len(states):
             return enough
-    if cache is False or isinstance(seed, np.random.Generator):
+
+    def make() -> list[NoiseModel]:
+        if sonic:
+            return theory_at_states(states, turbulence, sonic=True, progress=progress)
         return METHODS[method].make(states, turbulence, n_boxes, seed, progress)
-    key = noise_key(states, turbulence, method=method, n_boxes=n_boxes, seed=seed)
+
+    if cache is False or isinstance(seed, np.random.Generator):
+        return make()
+    key = noise_key(states, turbulence, method=method, n_boxes=n_boxes, seed=seed, sonic=sonic)
     file = cache_folder(cache) / f"{key}.nc"
     found, damage = from_cache(file, key) if file.is_file() else (None, None)
     if found is not None:
         found = renamed(found, states[0].scan, turbulence)
         return list(found.models) if isinstance(found, NoiseBank) else [found]
-    made = METHODS[method].make(states, turbulence, n_boxes, seed, progress)
+    made = make()
     made = [replace(model, details={**model.details, "key": key}) for model in made]
     to_cache(NoiseBank(tuple(made)), file)
     if damage is not None:
@@ -195,6 +214,35 @@ class Method:
     ingredients: Callable[[Sequence[RecordState], MannTurbulence, int, int], Mapping[str, Any]]
 
 
+def theory_at_states(
+    states: Sequence[RecordState], turbulence: MannTurbulence, *, sonic: bool = False, progress: bool | None = None
+) -> list[NoiseModel]:
+    """Return the noise of several states by theory; nothing is read from or written to a cache.
+
+    Parameters
+    ----------
+    states, turbulence, sonic, progress
+        As for `noise_at_states`.
+
+    Returns
+    -------
+    models : list of NoiseModel
+        One for each state, in their order.
+    """
+    bar = progress_bar(states, len(states), "noise", disable=None if progress is None else not progress)
+    return [
+        theory_noise(
+            state.scan,
+            turbulence,
+            wind_speed=state.wind_speed,
+            duration=state.duration,
+            yaw=state.yaw,
+            sonic=sonic,
+        )
+        for state in bar
+    ]
+
+
 def _from_theory(
     states: Sequence[RecordState],
     turbulence: MannTurbulence,
@@ -202,11 +250,7 @@ def _from_theory(
     seed: int | np.random.Generator,  # noqa: ARG001
     progress: bool | None,
 ) -> list[NoiseModel]:
-    bar = progress_bar(states, len(states), "noise", disable=None if progress is None else not progress)
-    return [
-        theory_noise(state.scan, turbulence, wind_speed=state.wind_speed, duration=state.duration, yaw=state.yaw)
-        for state in bar
-    ]
+    return theory_at_states(states, turbulence, progress=progress)
 
 
 METHODS: dict[str, Method] = {
@@ -217,7 +261,13 @@ METHODS: dict[str, Method] = {
 
 
 def noise_key(
-    states: Sequence[RecordState], turbulence: MannTurbulence, *, method: str, n_boxes: int, seed: int
+    states: Sequence[RecordState],
+    turbulence: MannTurbulence,
+    *,
+    method: str,
+    n_boxes: int,
+    seed: int,
+    sonic: bool = False,
 ) -> str:
     """Return the key of cached noise: 40 hexadecimal digits that change with everything the numbers depend on.
 
@@ -233,6 +283,8 @@ def noise_key(
         Number of boxes.
     seed : int
         Seed.
+    sonic : bool
+        Whether the noise holds the moments with a sonic.
 
     Returns
     -------
@@ -248,6 +300,7 @@ def noise_key(
         ],
         "turbulence": [turbulence.dissipation, turbulence.length_scale, turbulence.gamma],
         **METHODS[method].ingredients(states, turbulence, n_boxes, seed),
+        **({"sonic": SONIC_VERSION} if sonic else {}),
     }
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:40]
 

@@ -67,6 +67,28 @@ class RecordNoise:
 
 
 @dataclass(frozen=True, eq=False)
+class SonicNoise:
+    """The joint moments of the beams' variances and a sonic's stresses, for each of a number of records.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n_record, 6, 6)
+        Covariance of L⁻¹ S L⁻ᵀ, see `NoiseModel`.
+    beam_covariance : ndarray, shape (n_record, 6, n_beam)
+        Its covariance with the relative variances of the beams.
+    state : ndarray of int, shape (n_record,)
+        Equal numbers mean equal moments.
+    negative_part : ndarray, shape (n_record,)
+        See `interpolate_covariance`, for the joint covariance of beams and sonic; 0 without interpolation.
+    """
+
+    covariance: FloatArray
+    beam_covariance: FloatArray
+    state: NDArray[np.int64]
+    negative_part: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class NoiseModel:
     """Bias, gain and relative covariance of the beam variances of one record, at one state of the flow.
 
@@ -103,6 +125,11 @@ class NoiseModel:
         Standard error of each entry of the covariance.
     details : mapping
         How it was made, as plain JSON values.
+    sonic_covariance : array_like, shape (6, 6), optional
+        Covariance of L⁻¹ S L⁻ᵀ, with S the tensor that a sonic measures in the record and L Lᵀ its expectation; in the
+        order uu, vv, ww, uv, uw, vw. Needed for the target ``"sonic"`` only.
+    sonic_beam_covariance : array_like, shape (6, n_beam), optional
+        Covariance of L⁻¹ S L⁻ᵀ with the relative variances y_b / E[y_b]; with `sonic_covariance` or not at all.
 
     Raises
     ------
@@ -142,6 +169,8 @@ class NoiseModel:
     n_realizations: float = np.inf
     standard_error: FloatArray | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    sonic_covariance: FloatArray | None = None
+    sonic_beam_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
@@ -160,6 +189,7 @@ class NoiseModel:
             arrays["standard_error"] = check_array(
                 self.standard_error, (n_beam, n_beam), what=f"standard_error in {where}"
             )
+        arrays.update(_checked_sonic(self.sonic_covariance, self.sonic_beam_covariance, n_beam, where))
         _check_covariance(arrays["covariance"], where)
         check_positive(self.wind_speed, what="wind_speed", unit="m/s", where=where)
         check_finite(self.yaw, what="yaw", unit="rad", where=where)
@@ -244,6 +274,7 @@ class NoiseModel:
             beam=self.beam[index],
             scan_geometry={**self.scan_geometry, **geometry},
             standard_error=None if self.standard_error is None else self.standard_error[pairs],
+            sonic_beam_covariance=None if self.sonic_beam_covariance is None else self.sonic_beam_covariance[:, index],
         )
 
     def for_records(self, wind_speed: ArrayLike, yaw: ArrayLike) -> RecordNoise:
@@ -262,6 +293,32 @@ class NoiseModel:
             Arrays along the records, as read-only views.
         """
         return NoiseBank((self,)).for_records(wind_speed, yaw)
+
+    @property
+    def has_sonic(self) -> bool:
+        """Whether the model holds the joint moments with a sonic's stresses."""
+        return self.sonic_covariance is not None
+
+    @property
+    def joint_covariance(self) -> FloatArray:
+        """Covariance of the relative beam variances and L⁻¹ S L⁻ᵀ, shape (n_beam + 6, n_beam + 6).
+
+        Raises
+        ------
+        InputError
+            If the model does not hold the moments with a sonic.
+        """
+        if self.sonic_covariance is None or self.sonic_beam_covariance is None:
+            raise InputError(
+                f"The noise of scan {self.scan_name!r} holds no moments with a sonic, which the target 'sonic' needs: "
+                "make it with calibrate(..., sonic=True), theory_bank(..., sonic=True) or bayes-rs calibrate --sonic."
+            )
+        across = self.sonic_beam_covariance
+        return np.block([[self.covariance, across.T], [across, self.sonic_covariance]])
+
+    def sonic_for_records(self, wind_speed: ArrayLike, yaw: ArrayLike) -> SonicNoise:
+        """Return the moments with a sonic's stresses for records; as `NoiseBank.sonic_for_records`."""
+        return NoiseBank((self,)).sonic_for_records(wind_speed, yaw)
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset; see `save` for what is in it."""
@@ -463,19 +520,29 @@ class NoiseBank:
             length_scale=length_scale,
             gamma=gamma,
         )
-        return NoiseBank(
-            tuple(
-                replace(
-                    model,
-                    bias=noise.bias[i],
-                    gain=noise.gain[i],
-                    covariance=noise.covariance[i],
-                    standard_error=None,
-                    turbulence=flow,
-                )
-                for i, (_, model) in enumerate(plane)
+        models = [
+            replace(
+                model,
+                bias=noise.bias[i],
+                gain=noise.gain[i],
+                covariance=noise.covariance[i],
+                standard_error=None,
+                turbulence=flow,
             )
-        )
+            for i, (_, model) in enumerate(plane)
+        ]
+        if self.has_sonic:
+            sonic = self.sonic_for_records(
+                [speed for (speed, _), _ in plane],
+                [yaw for (_, yaw), _ in plane],
+                length_scale=length_scale,
+                gamma=gamma,
+            )
+            models = [
+                replace(model, sonic_covariance=sonic.covariance[i], sonic_beam_covariance=sonic.beam_covariance[i])
+                for i, model in enumerate(models)
+            ]
+        return NoiseBank(tuple(models))
 
     def for_records(
         self,
@@ -531,6 +598,55 @@ class NoiseBank:
             state=state.astype(np.int64),
             outside=place.outside,
             negative_part=negative_part,
+        )
+
+    @property
+    def has_sonic(self) -> bool:
+        """Whether all states hold the joint moments with a sonic's stresses."""
+        return all(model.has_sonic for model in self.models)
+
+    def sonic_for_records(
+        self,
+        wind_speed: ArrayLike,
+        yaw: ArrayLike,
+        *,
+        length_scale: ArrayLike | None = None,
+        gamma: ArrayLike | None = None,
+    ) -> SonicNoise:
+        """Return the joint moments with a sonic's stresses for records; interpolated as `for_records` does it.
+
+        Parameters
+        ----------
+        wind_speed, yaw, length_scale, gamma
+            As for `for_records`.
+
+        Returns
+        -------
+        noise : SonicNoise
+            Arrays along the records.
+
+        Raises
+        ------
+        InputError
+            As for `for_records`, and if the bank does not hold these moments.
+        """
+        points = self._points(wind_speed, yaw, length_scale, gamma)
+        place = self._place(points)
+        joint = np.stack([model.joint_covariance for model in self.models])
+        n_beam = self.n_beam
+        if self.net is None:
+            first, state = np.unique(place.state, return_inverse=True)
+            between, negative_part = joint[first], np.zeros(len(first))
+        else:
+            weights, _ = self.net.weights(points)
+            _, first, state = np.unique(place.used, axis=0, return_index=True, return_inverse=True)
+            between, negative_part = interpolate_covariance(joint, weights[first])
+        state = state.reshape(-1)
+        return SonicNoise(
+            covariance=between[state, n_beam:, n_beam:],
+            beam_covariance=between[state, n_beam:, :n_beam],
+            state=state.astype(np.int64),
+            negative_part=negative_part[state],
         )
 
     def locate(self, wind_speed: ArrayLike, yaw: ArrayLike) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -651,6 +767,22 @@ Noise: TypeAlias = NoiseModel | NoiseBank
 
 def _flow(turbulence: MannTurbulence) -> tuple[float, float, float]:
     return turbulence.dissipation, turbulence.length_scale, turbulence.gamma
+
+
+def _checked_sonic(
+    covariance: FloatArray | None, beam_covariance: FloatArray | None, n_beam: int, where: str
+) -> dict[str, FloatArray]:
+    """Check the moments with a sonic's stresses, if there are any."""
+    if covariance is None and beam_covariance is None:
+        return {}
+    if covariance is None or beam_covariance is None:
+        raise InputError(
+            f"Invalid moments with a sonic in {where}: give both, sonic_covariance and sonic_beam_covariance, or none."
+        )
+    own = check_array(covariance, (len(STRESSES), len(STRESSES)), what=f"sonic_covariance in {where}")
+    _check_covariance(own, f"sonic_covariance in {where}")
+    across = check_array(beam_covariance, (len(STRESSES), n_beam), what=f"sonic_beam_covariance in {where}")
+    return {"sonic_covariance": own, "sonic_beam_covariance": across}
 
 
 def _check_covariance(covariance: FloatArray, where: str) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
-from bayes_rs.calibration import DEFAULT_SEED, METHODS, noise_key
+from bayes_rs.calibration import DEFAULT_SEED, METHODS, noise_key, theory_at_states
 from bayes_rs.errors import InputError
 from bayes_rs.interpolation import find_net, interpolate_covariance
 from bayes_rs.mann import MannTurbulence
@@ -58,6 +58,7 @@ def theory_bank(
     tolerance: float = 0.01,
     error_beams: int = 16,
     cache: bool | str | Path = True,
+    sonic: bool = False,
     progress: bool | None = None,
 ) -> NoiseBank:
     """Return the noise of a scan by theory over a range of wind speeds and directions, to be interpolated.
@@ -82,6 +83,9 @@ def theory_bank(
         The error is measured with so many of the beams, evenly chosen: their covariances are a part of K.
     cache : bool, str or Path
         True to use the user's cache folder, False for none, or another folder.
+    sonic : bool
+        Add the joint moments with the stresses of a sonic at the rotor's centre, which the target ``"sonic"`` of `fit`
+        needs. The error is then that of the joint covariance of the beams and the sonic.
     progress : bool, optional
         Show progress bars; by default if stderr is a terminal.
 
@@ -119,15 +123,15 @@ def theory_bank(
     ]
     count = max(min(int(error_beams), scan.n_beam), 1)
     some = scan.select(scan.beam[np.unique(np.linspace(0, scan.n_beam - 1, count).round().astype(int))])
-    key = _key(scan, turbulence, ranges, duration, tolerance, count)
+    key = _key(scan, turbulence, ranges, duration, tolerance, count, sonic)
     file = cache_folder(cache) / f"{key}.nc" if cache is not False else None
     if file is not None and file.is_file():
         found, _ = from_cache(file, key)
         if found is not None:
             kept = renamed(found, scan, turbulence)
             return kept if isinstance(kept, NoiseBank) else NoiseBank((kept,))
-    axes, error = _refined(_Theory(some, turbulence, duration, progress), ranges, tolerance)
-    models = _Theory(scan, turbulence, duration, progress).models(_points(axes))
+    axes, error = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
+    models = _Theory(scan, turbulence, duration, progress, sonic=sonic).models(_points(axes))
     details = {
         "interpolation_error": error,
         "interpolation_error_beams": count,
@@ -177,8 +181,11 @@ def measure_interpolation(bank: NoiseBank, scan: Scan, *, progress: bool | None 
 class _Theory:
     """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
 
-    def __init__(self, scan: Scan, turbulence: MannTurbulence, duration: float, progress: bool | None) -> None:
+    def __init__(
+        self, scan: Scan, turbulence: MannTurbulence, duration: float, progress: bool | None, *, sonic: bool = False
+    ) -> None:
         self.scan, self.turbulence, self.duration, self.progress = scan, turbulence, duration, progress
+        self.sonic = sonic
         self.known: dict[tuple[float, ...], NoiseModel] = {}
 
     def models(self, points: FloatArray) -> list[NoiseModel]:
@@ -188,13 +195,16 @@ class _Theory:
         for flow in sorted({name[2:] for name in missing}):
             group = {name: point for name, point in missing.items() if name[2:] == flow}
             states = [self._state(point) for point in group.values()]
-            made = METHODS["theory"].make(states, self._flow(flow), 2, DEFAULT_SEED, self.progress)
+            if self.sonic:
+                made = theory_at_states(states, self._flow(flow), sonic=True, progress=self.progress)
+            else:
+                made = METHODS["theory"].make(states, self._flow(flow), 2, DEFAULT_SEED, self.progress)
             self.known.update(zip(group, made, strict=True))
         return [self.known[name] for name in names]
 
     def covariances(self, points: FloatArray) -> FloatArray:
-        """Return K at points, shape (n, n_beam, n_beam)."""
-        return np.stack([model.covariance for model in self.models(points)])
+        """Return K at points, shape (n, n_beam, n_beam); with a sonic the joint covariance, six rows larger."""
+        return np.stack([m.joint_covariance if self.sonic else m.covariance for m in self.models(points)])
 
     def _state(self, point: FloatArray) -> RecordState:
         return RecordState(
@@ -278,6 +288,7 @@ def _key(
     duration: float,
     tolerance: float,
     error_beams: int,
+    sonic: bool,
 ) -> str:
     """Return the key of a bank: that of theory at one state, and everything that fixes the net."""
     state = RecordState(scan, 10.0, 0.0, duration)
@@ -287,7 +298,7 @@ def _key(
     ]
     everything = {
         "bank_version": BANK_VERSION,
-        "theory": noise_key([state], turbulence, method="theory", n_boxes=2, seed=DEFAULT_SEED),
+        "theory": noise_key([state], turbulence, method="theory", n_boxes=2, seed=DEFAULT_SEED, sonic=sonic),
         "axes": _AXES,
         "spans": spans,
         "tolerance": tolerance,

@@ -30,6 +30,8 @@ def noise_for_records(
     turbulence: MannTurbulence,
     *,
     method: str = "theory",
+    sonic: bool = False,
+    length_scale: Sequence[float] | None = None,
     progress: bool | None = None,
 ) -> tuple[NoiseModel | NoiseBank, str]:
     """Return noise for the wind speeds and directions of records.
@@ -44,6 +46,11 @@ def noise_for_records(
         The turbulence.
     method : str
         ``"theory"`` or ``"boxes"``, as for `calibrate`.
+    sonic : bool
+        With the moments that the target ``"sonic"`` needs, as for `calibrate`.
+    length_scale : sequence of float, optional
+        Length scales L, m, that a bank by theory reaches over, as `Nuisances` with an uncertain one needs; by default
+        only that of the turbulence.
     progress : bool, optional
         Show a progress bar; by default if stderr is a terminal.
 
@@ -57,7 +64,7 @@ def noise_for_records(
     Raises
     ------
     InputError
-        If no record has a wind speed.
+        If no record has a wind speed, or boxes are asked for with a sonic or several length scales.
     MissingExtraError
         If nothing suitable is shipped or cached, and hipersim is not installed.
 
@@ -83,9 +90,13 @@ def noise_for_records(
     speed, yaw = speed[known], yaw[known]
     duration = float(records.attrs.get("duration", 600.0))
     check_choice(method, tuple(METHODS), what="method of calibration")
+    if sonic and method != "theory":
+        raise InputError(f"Invalid noise method {method!r} for the target 'sonic': only 'theory' has its moments.")
+    if length_scale is not None and method != "theory":
+        raise InputError(f"Invalid noise method {method!r} for an uncertain length scale: only 'theory' spans several.")
     if method == "theory":
-        noise, kept = _from_theory(scan, turbulence, speed, yaw, duration, progress)
-        words = _words(kept, noise, turbulence)
+        noise, kept = _from_theory(scan, turbulence, speed, yaw, duration, progress, sonic, length_scale)
+        words = _words(kept, noise, turbulence) + ("; with the moments of a sonic" if sonic else "")
         if isinstance(noise, NoiseBank) and (out := int(np.count_nonzero(noise.locate(speed, yaw)[2]))):
             words += f"; {out} of {len(speed)} records are outside and use its edge"
         return noise, words
@@ -98,16 +109,37 @@ def noise_for_records(
 
 
 def _from_theory(
-    scan: Scan, turbulence: MannTurbulence, speed: FloatArray, yaw: FloatArray, duration: float, progress: bool | None
+    scan: Scan,
+    turbulence: MannTurbulence,
+    speed: FloatArray,
+    yaw: FloatArray,
+    duration: float,
+    progress: bool | None,
+    sonic: bool,
+    length_scale: Sequence[float] | None,
 ) -> tuple[NoiseModel | NoiseBank, str]:
     """Return shipped noise if it holds all records, else a bank for their range; and which of the two it is."""
+    speeds, yaws = np.clip(speed, *_SPEEDS), np.rad2deg(yaw)
+    if length_scale is not None:
+        ranges = [[float(np.min(values)), float(np.max(values))] for values in (speeds, yaws)]
+        bank = theory_bank(
+            scan,
+            turbulence,
+            wind_speed=ranges[0],
+            yaw_deg=ranges[1],
+            length_scale=length_scale,
+            duration=duration,
+            sonic=sonic,
+            progress=progress,
+        )
+        return bank, "calculated"
     if max(np.ptp(speed), np.ptp(yaw)) <= _SAME:
         state = RecordState(scan, float(speed[0]), float(yaw[0]), duration)
-        return noise_at_states([state], turbulence, progress=progress)[0], "calculated"
+        return noise_at_states([state], turbulence, sonic=sonic, progress=progress)[0], "calculated"
     shipped = find_shipped_noise(scan, turbulence, duration=duration, method="theory")
-    if isinstance(shipped, NoiseBank) and not np.any(shipped.locate(speed, yaw)[2]):
+    complete = isinstance(shipped, NoiseBank) and (shipped.has_sonic or not sonic)
+    if isinstance(shipped, NoiseBank) and complete and not np.any(shipped.locate(speed, yaw)[2]):
         return shipped, "shipped"
-    speeds, yaws = np.clip(speed, *_SPEEDS), np.rad2deg(yaw)
     if scan.n_beam <= _QUICK:
         speeds = np.append(speeds, _USUAL_SPEEDS) if np.ptp(speeds) > _SAME else speeds
         yaws = np.append(yaws, _USUAL_YAWS) if np.ptp(yaws) > _SAME else yaws
@@ -117,6 +149,7 @@ def _from_theory(
         wind_speed=[float(np.min(speeds)), float(np.max(speeds))],
         yaw_deg=[float(np.min(yaws)), float(np.max(yaws))],
         duration=duration,
+        sonic=sonic,
         progress=progress,
     )
     return bank, "calculated"
@@ -148,8 +181,10 @@ def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence)
     models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     words = (
         f"noise: {kept}, {turbulence.name}, method {models[0].method}, {len(models)} state{'s' * (len(models) > 1)} "
-        f"({_span([m.wind_speed for m in models])} m/s, yaw {_span([np.rad2deg(m.yaw) for m in models])}°)"
+        f"({_span([m.wind_speed for m in models])} m/s, yaw {_span([np.rad2deg(m.yaw) for m in models])}°"
     )
+    scales = [model.turbulence.length_scale for model in models]
+    words += f", L {_span(scales)} m)" if max(scales) > min(scales) else ")"
     if isinstance(noise, NoiseBank) and len(models) > 1:
         if noise.net is None:
             return words + "; each record uses the nearest"

@@ -39,6 +39,10 @@ def noise_dataset(bank: NoiseBank, *, single_precision: bool = False) -> xr.Data
     }
     if all(m.standard_error is not None for m in models):
         variables["standard_error"] = (pair, np.stack([np.asarray(m.standard_error) for m in models]))
+    if bank.has_sonic:
+        for name, last in (("sonic_covariance", "other_stress"), ("sonic_beam_covariance", "beam")):
+            stacked = np.stack([np.asarray(getattr(m, name)) for m in models])
+            variables[name] = (("state", "stress", last), stacked, {"units": "1"})
     if single_precision:
         row, column = np.triu_indices(bank.n_beam)
         upper = np.stack([m.covariance[row, column] for m in models]).astype(np.float32)

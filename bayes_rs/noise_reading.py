@@ -110,6 +110,7 @@ def _from_dataset(dataset: xr.Dataset) -> NoiseModel | NoiseBank:
                 n_realizations=float(state["n_realizations"]),
                 standard_error=state["standard_error"].values if "standard_error" in state else None,
                 details={**shared, **json.loads(str(state["details"].item()))},
+                **{name: state[name].values for name in ("sonic_covariance", "sonic_beam_covariance") if name in state},
             )
         )
     return models[0] if one else NoiseBank(tuple(models))

@@ -155,7 +155,7 @@ def assemble(
         "sight": sight(scan).in_words(),
         "prior": prior.in_words(),
         "prior_name": prior.name,
-        "noise": json.dumps(_noise_summary(noise)),
+        "noise": json.dumps(noise_summary(noise)),
     }
     return tree
 
@@ -185,7 +185,8 @@ def check_result(result: xr.DataTree) -> xr.DataTree:
     return result
 
 
-def _noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
+def noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
+    """Return which noise it is, as plain numbers and texts."""
     models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     first = models[0]
     return {

@@ -15,7 +15,7 @@ from bayes_rs.mann import MannTurbulence
 from bayes_rs.noise import NoiseModel
 from bayes_rs.probe import PROBE_ERROR, PointProbe, Probe, Rule, fineness_for, needs_wide
 from bayes_rs.scan import Scan
-from bayes_rs.stress import STRESSES
+from bayes_rs.stress import STRESSES, rotate_stress, unpack_stress
 from bayes_rs.toeplitz import DETRENDING, toeplitz_inner, toeplitz_trace
 from bayes_rs.two_point import _STENCIL, _stencil_weights, radial_covariance, resolution_for, velocity_covariance
 
@@ -40,6 +40,8 @@ def theory_noise(
     detrend: str = "mean",
     tolerance: float = 1e-4,
     probe_tolerance: float = 1e-3,
+    sonic: bool = False,
+    sonic_position: ArrayLike = (0.0, 0.0, 0.0),
 ) -> NoiseModel:
     """Return the noise of a record's beam variances for Gaussian, frozen Mann turbulence, with the scan's probe volume.
 
@@ -61,6 +63,10 @@ def theory_noise(
         Largest error of a velocity covariance, relative to the variance of u.
     probe_tolerance : float
         Beams are taken for points if the probe volume takes no more than this part of any beam's variance.
+    sonic : bool
+        Add the joint moments with the stresses of a sonic (`sonic_moments`), for the target ``"sonic"``.
+    sonic_position : array_like, shape (3,)
+        Where the sonic is, m from the lidar in the mean-wind frame; at the lidar, the rotor's centre, if not given.
 
     Returns
     -------
@@ -150,6 +156,21 @@ def theory_noise(
         about_probe["probe_error"] = probe_error
         error += probe_error * float(np.max(relative))
     relative, negative_part = _nearest_covariance(relative, error)
+    about_sonic: dict[str, Any] = {}
+    sonic_covariance = sonic_beam_covariance = None
+    if sonic:
+        moments = sonic_moments(
+            scan,
+            turbulence,
+            wind_speed=wind_speed,
+            duration=duration,
+            yaw=angle,
+            position=sonic_position,
+            detrend=detrend,
+            tolerance=tolerance,
+        )
+        sonic_covariance, sonic_beam_covariance = whitened_moments(moments, mean)
+        about_sonic = {"sonic_position": [float(value) for value in np.asarray(sonic_position)]}
     return NoiseModel(
         bias=mean / expected - 1.0,
         gain=gain,
@@ -174,7 +195,10 @@ def theory_noise(
             "quadrature_step": resolution.step,
             "n_harmonic": resolution.n_harmonic,
             **about_probe,
+            **about_sonic,
         },
+        sonic_covariance=sonic_covariance,
+        sonic_beam_covariance=sonic_beam_covariance,
     )
 
 
@@ -455,6 +479,29 @@ def sonic_moments(
                 inner = toeplitz_inner(with_beam[:, i], with_beam[:, j], int(size), n, detrend=detrend)
                 cross[part, column] = 2.0 * inner / (n * int(size))
     return SonicMoments(mean=mean, covariance=0.5 * (covariance + covariance.T), cross_covariance=cross)
+
+
+def whitened_moments(moments: SonicMoments, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the moments of T = L⁻¹ S L⁻ᵀ and of relative beam variances, from which the size of the flow is gone.
+
+    Parameters
+    ----------
+    moments : SonicMoments
+        Joint moments of the beams' variances and the sonic's stresses S.
+    expected : ndarray, shape (n_beam,)
+        Expected variances E[y] of the beams, m² s⁻².
+
+    Returns
+    -------
+    covariance : ndarray, shape (6, 6)
+        Cov[T], with L Lᵀ = E[S] and L lower triangular.
+    beam_covariance : ndarray, shape (6, n_beam)
+        Cov[T, y / E[y]].
+    """
+    root = np.linalg.inv(np.linalg.cholesky(unpack_stress(moments.mean)))
+    whiten = rotate_stress(np.eye(len(STRESSES)), root.T).T  # T = root S rootᵀ, as a matrix on the six stresses
+    covariance = whiten @ moments.covariance @ whiten.T
+    return 0.5 * (covariance + covariance.T), whiten @ moments.cross_covariance.T / expected
 
 
 def sample_counts(scan: Scan, duration: float, detrend: str = "mean") -> NDArray[np.int64]:

@@ -218,7 +218,7 @@ class TestRefusals:
         ("change", "message"),
         [
             ({"prior": "vague"}, r"Unknown prior 'vague'"),
-            ({"target": "sonic"}, r"Unknown target 'sonic': it must be one of record, ensemble"),
+            ({"target": "mast"}, r"Unknown target 'mast': it must be one of record, ensemble, sonic"),
             ({"sampler": "nuts"}, r"Unknown sampler 'nuts'"),
             ({"target_ess": 0}, r"Invalid target_ess 0"),
             ({"seed": -1}, r"Invalid seed -1"),
