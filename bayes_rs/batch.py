@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.likelihood import Likelihood, make_likelihood
+from bayes_rs.forward import design_matrix
+from bayes_rs.likelihood import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.mixture_likelihood import MixtureLikelihood
 from bayes_rs.noise import NoiseBank, NoiseModel, RecordNoise, SonicNoise
 from bayes_rs.nuisance import Nuisances, RecordNuisances
 from bayes_rs.posterior import Posterior
 from bayes_rs.prior import Prior
+from bayes_rs.reduced_noise import ReducedNoise, reduced
 from bayes_rs.sampling import sample
 from bayes_rs.sampling.chains import BLOCK, Chains
 from bayes_rs.sampling.streams import RecordStreams
@@ -144,6 +147,9 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
     draws : RecordDraws
         Bit by bit the same whatever other records are in the batch.
     """
+    quick = not predict and options.target != "sonic" and options.likelihood == "log-normal"
+    if quick and ReducedNoise.suits(noise, batch.used):
+        return _fit_reduced(batch, reduced(cast("NoiseBank", noise)), options)
     posterior, at_record = make_posterior(batch, noise, options)
     sonic = _sonic_noise(batch, noise, options) if options.target == "sonic" else []
     chains, streams = sample(
@@ -154,6 +160,9 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
         target_ess=int(np.ceil(ESS_MARGIN * options.target_ess)) if sonic else options.target_ess,
         max_extension=options.max_extension,
     )
+    clipped = np.zeros(len(batch))
+    if sonic:  # before anything else is drawn, so that it is the same with and without predictions
+        chains, clipped = draw_sonic(posterior, chains, sonic, streams, inflation=options.nuisances.inflation)
     some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK]
     flat = some.reshape(len(batch), -1, some.shape[-1])
     expected = posterior.likelihood.expected(*posterior.seen(flat))
@@ -164,9 +173,6 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
         root = _symmetric_root(log_covariance, at_record.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     whole = chains.coordinate.reshape(len(batch), -1, some.shape[-1])
-    clipped = np.zeros(len(batch))
-    if sonic:
-        chains, clipped = draw_sonic(posterior, chains, sonic, streams, inflation=options.nuisances.inflation)
     return RecordDraws(
         chains,
         {
@@ -180,9 +186,62 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
     )
 
 
+def _fit_reduced(batch: Batch, noise: ReducedNoise, options: FitOptions) -> RecordDraws:
+    """Sample records of a many-beam scan whose covariances need not be known as a whole."""
+    certain = options.nuisances.instrument_noise_log_sd == 0.0
+    factors, weights = options.nuisances.length_scale_nodes()
+    parts: list[Likelihood] = []
+    for factor in factors:
+        at_node = noise.for_records(
+            batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
+        )
+        gain = at_node.gain * (1.0 + at_node.bias)[:, :, None] if options.target == "ensemble" else at_node.gain
+        parts.append(
+            reduced_log_normal_likelihood(
+                batch.variance,
+                gain,
+                noise.left,
+                at_node.covariance,
+                at_node.log_variance,
+                options.instrument_noise if certain else 0.0,
+                inflation=options.nuisances.inflation,
+                dof=options.nuisances.inflation_dof,
+            )
+        )
+        if factor == 1.0:
+            at_record = at_node
+    likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, options.instrument_noise)
+    posterior = Posterior(likelihood, options.prior, nuisances)
+    chains, _ = sample(
+        options.sampler,
+        posterior,
+        seed=options.seed,
+        keys=batch.key,
+        target_ess=options.target_ess,
+        max_extension=options.max_extension,
+    )
+    n_chain, n_draw, k = chains.coordinate.shape[1:]
+    some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
+    whole = chains.coordinate.reshape(len(batch), -1, k)
+    values = posterior.nuisance_values(whole)
+    return RecordDraws(
+        chains,
+        {name: value.reshape(len(batch), n_chain, n_draw) for name, value in values.items()},
+        np.empty((len(batch), n_chain, 0, batch.variance.shape[1])),
+        _misfit(
+            likelihood.expected(*posterior.seen(some)), options.nuisances.inflation * at_record.log_variance, batch
+        ),
+        at_record.outside,
+        np.zeros(len(batch)),
+    )
+
+
 def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> tuple[Posterior, RecordNoise]:
     """Return the posterior of a batch, and the noise of its records (at the median length scale)."""
     factors, weights = options.nuisances.length_scale_nodes()
+    # in the lidar's frame, so that the wind's direction does not weight the beams
+    reference = design_matrix(np.asarray(noise.scan_geometry["direction"], dtype=np.float64)) @ REFERENCE_STRESS
     parts: list[Likelihood] = []
     for factor in factors:
         at_node = _noise_of(noise, batch, options.nuisances, float(factor))
@@ -200,6 +259,7 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
                 options.instrument_noise if certain else 0.0,
                 inflation=options.nuisances.inflation,
                 dof=options.nuisances.inflation_dof,
+                reference=reference,
             )
         )
         if factor == 1.0:

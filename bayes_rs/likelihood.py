@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.likelihood_base import (
     REFERENCE_STRESS,
+    BeamData,
     Likelihood,
     beam_data,
     check_tails,
@@ -118,6 +119,7 @@ def log_normal_likelihood(
     *,
     inflation: float = 1.0,
     dof: float = np.inf,
+    reference: FloatArray | None = None,
 ) -> LogNormalLikelihood:
     """Prepare the log-normal likelihood of many records.
 
@@ -137,6 +139,8 @@ def log_normal_likelihood(
         Factor of the covariance of ln y, for flow whose variances scatter more than a Gaussian one's. E[y] stays.
     dof : float
         Degrees of freedom of the noise: see `Likelihood`.
+    reference : ndarray, shape (n_beam,), optional
+        Expected variances at which more beams than stresses are reduced; by default those of `REFERENCE_STRESS`.
 
     Returns
     -------
@@ -154,19 +158,82 @@ def log_normal_likelihood(
     check_tails(inflation, dof)
     data = beam_data(variance, used, gain, offset)
     log_covariance = inflation * np.log1p(data.relative_covariance(covariance))
-    reference = np.where(used, data.gain @ REFERENCE_STRESS, 1.0)
-    left, seen = seen_directions(data.gain / reference[:, :, None])
-    reduced = left.swapaxes(-1, -2) @ log_covariance @ left
-    factor = factor_reduced(reduced, seen, variance.shape[1], what="log-covariance")
+    level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
+    left, seen = seen_directions(data.gain / np.where(used, level, 1.0)[:, :, None])
+    return _log_normal(
+        data,
+        left,
+        seen,
+        left.swapaxes(-1, -2) @ log_covariance @ left,
+        np.einsum("rbb->rb", log_covariance),
+        float(dof),
+    )
+
+
+def reduced_log_normal_likelihood(
+    variance: FloatArray,
+    gain: FloatArray,
+    left: FloatArray,
+    covariance: FloatArray,
+    log_variance: FloatArray,
+    offset: FloatArray | float = 0.0,
+    *,
+    inflation: float = 1.0,
+    dof: float = np.inf,
+) -> LogNormalLikelihood:
+    """Prepare the log-normal likelihood of records whose noise was reduced beforehand; every beam is used.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (n_record, n_beam)
+        Radial variances y, m² s⁻².
+    gain : ndarray, shape (n_record, n_beam, 6)
+        E[y] = gain · stresses + offset.
+    left : ndarray, shape (n_beam, n_seen)
+        Orthonormal basis U of what the stresses can move.
+    covariance : ndarray, shape (n_record, n_seen, n_seen)
+        Uᵀ ln(1 + K) U.
+    log_variance : ndarray, shape (n_record, n_beam)
+        diag ln(1 + K).
+    offset, inflation, dof
+        As in `log_normal_likelihood`.
+
+    Returns
+    -------
+    likelihood : LogNormalLikelihood
+        The likelihood.
+
+    Raises
+    ------
+    InputError, NotPositiveDefiniteError
+        As `log_normal_likelihood`.
+    """
+    check_tails(inflation, dof)
+    data = beam_data(variance, np.ones(variance.shape, dtype=np.bool_), gain, offset)
+    seen = np.ones((len(variance), left.shape[1]), dtype=np.bool_)
+    whole = np.broadcast_to(left, (len(variance), *left.shape))
+    return _log_normal(data, whole, seen, inflation * covariance, inflation * log_variance, float(dof))
+
+
+def _log_normal(
+    data: BeamData,
+    left: FloatArray,
+    seen: NDArray[np.bool_],
+    reduced: FloatArray,
+    log_variance: FloatArray,
+    dof: float,
+) -> LogNormalLikelihood:
+    """Whiten the reduced data."""
+    factor = factor_reduced(reduced, seen, data.variance.shape[1], what="log-covariance")
     whitening = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2)), dtype=np.float64)
-    log_y = np.log(data.variance) + 0.5 * np.einsum("rbb->rb", log_covariance)
+    log_y = np.log(data.variance) + 0.5 * log_variance
     n_datum = seen.sum(axis=1).astype(np.int64)
     log_determinant = 2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1)
     return LogNormalLikelihood(
         gain=data.gain,
         offset=data.offset,
         n_datum=n_datum,
-        dof=float(dof),
+        dof=dof,
         datum=np.einsum("rsb,rb->rs", whitening, log_y),
         whitening=whitening,
         log_normalizer=log_normalizer(n_datum, log_determinant, dof),
@@ -192,6 +259,7 @@ def make_likelihood(
     *,
     inflation: float = 1.0,
     dof: float = np.inf,
+    reference: FloatArray | None = None,
 ) -> Likelihood:
     """Prepare the likelihood that `name` means; for the others see `log_normal_likelihood`.
 
@@ -199,7 +267,7 @@ def make_likelihood(
     ----------
     name : str
         One of `LIKELIHOODS`.
-    variance, used, gain, covariance, offset, inflation, dof
+    variance, used, gain, covariance, offset, inflation, dof, reference
         As in `log_normal_likelihood`.
 
     Returns
@@ -215,4 +283,4 @@ def make_likelihood(
         If the noise of the reduced data is singular.
     """
     maker = LIKELIHOODS[check_choice(name, tuple(LIKELIHOODS), what="likelihood")]
-    return maker(variance, used, gain, covariance, offset, inflation=inflation, dof=dof)
+    return maker(variance, used, gain, covariance, offset, inflation=inflation, dof=dof, reference=reference)

@@ -600,6 +600,42 @@ class NoiseBank:
             negative_part=negative_part,
         )
 
+    def weights_for(
+        self,
+        wind_speed: ArrayLike,
+        yaw: ArrayLike,
+        *,
+        length_scale: ArrayLike | None = None,
+        gamma: ArrayLike | None = None,
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Return how the states of a net are weighted for records.
+
+        Parameters
+        ----------
+        wind_speed, yaw, length_scale, gamma
+            As for `for_records`.
+
+        Returns
+        -------
+        weights : ndarray, shape (n_record, n_state)
+            Weights of the states.
+        yaw : ndarray, shape (n_record,)
+            The records' own directions, within half a turn of the bank's middle, rad.
+        outside : ndarray of bool, shape (n_record,)
+            Whether a record is outside the bank, and weighted as at its edge.
+
+        Raises
+        ------
+        InputError
+            As for `for_records`, and if the states form no net.
+        """
+        if self.net is None:
+            raise InputError(
+                "The states of this noise bank form no net, so nothing can be interpolated: make one with theory_bank."
+            )
+        points = self._points(wind_speed, yaw, length_scale, gamma)
+        return self.net.weights(points)[0], points[:, 1], self._place(points).outside
+
     @property
     def has_sonic(self) -> bool:
         """Whether all states hold the joint moments with a sonic's stresses."""

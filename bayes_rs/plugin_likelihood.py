@@ -89,12 +89,13 @@ def plugin_likelihood(
     *,
     inflation: float = 1.0,
     dof: float = np.inf,
+    reference: FloatArray | None = None,
 ) -> PluginLikelihood:
     """Prepare the Gaussian likelihood with fixed noise of many records.
 
     Parameters
     ----------
-    variance, used, gain, covariance, offset, inflation, dof
+    variance, used, gain, covariance, offset, inflation, dof, reference
         As in `log_normal_likelihood`; `inflation` multiplies K.
 
     Returns
@@ -112,7 +113,7 @@ def plugin_likelihood(
     check_tails(inflation, dof)
     data = beam_data(variance, used, gain, offset)
     relative = inflation * data.relative_covariance(covariance)
-    fitted = fitted_variance(data, relative)
+    fitted = fitted_variance(data, relative, reference)
     left, seen = seen_directions(data.gain / fitted[:, :, None])
     factor = factor_reduced(left.swapaxes(-1, -2) @ relative @ left, seen, variance.shape[1], what="covariance")
     scaled = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2) / fitted[:, None, :]), dtype=np.float64)
@@ -131,7 +132,7 @@ def plugin_likelihood(
     )
 
 
-def fitted_variance(data: BeamData, covariance: FloatArray) -> FloatArray:
+def fitted_variance(data: BeamData, covariance: FloatArray, reference: FloatArray | None = None) -> FloatArray:
     """Return smooth expected variances, shape (n_record, n_beam), of records with relative covariance K (masked).
 
     Gauss–Newton steps for ln y = ln E[y](φ) + noise of covariance K (reduced) with the prior ``"weak"`` on its
@@ -139,8 +140,8 @@ def fitted_variance(data: BeamData, covariance: FloatArray) -> FloatArray:
     """
     prior = WeakPrior()
     n_record, n_beam = data.variance.shape
-    reference = np.where(data.used, data.gain @ REFERENCE_STRESS, 1.0)
-    left, seen = seen_directions(data.gain / reference[:, :, None])
+    scale = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, data.variance.shape)
+    left, seen = seen_directions(data.gain / np.where(data.used, scale, 1.0)[:, :, None])
     factor = factor_reduced(left.swapaxes(-1, -2) @ covariance @ left, seen, n_beam, what="covariance")
     whitening = np.linalg.solve(factor, left.swapaxes(-1, -2))
     log_y = np.log(data.variance)

@@ -129,15 +129,18 @@ def power_likelihood(
     power: float,
     inflation: float = 1.0,
     dof: float = np.inf,
+    reference: FloatArray | None = None,
 ) -> PowerLikelihood:
     """Prepare the likelihood of powers of the variances of many records.
 
     Parameters
     ----------
-    variance, used, gain, covariance, offset, inflation, dof
-        As in `log_normal_likelihood`; `inflation` multiplies K.
+    variance, used, gain, covariance, offset
+        As in `log_normal_likelihood`.
     power : float
         1 or 1/3.
+    inflation, dof, reference
+        As in `log_normal_likelihood`; `inflation` multiplies K.
 
     Returns
     -------
@@ -154,8 +157,9 @@ def power_likelihood(
     check_tails(inflation, dof)
     data = beam_data(variance, used, gain, offset)
     centre, of_power = power_moments(inflation * data.relative_covariance(covariance), power)
-    reference = np.where(used, data.gain @ REFERENCE_STRESS, 1.0)
-    left, seen = seen_directions(data.gain / reference[:, :, None])
+    level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
+    scale = np.where(used, level, 1.0)
+    left, seen = seen_directions(data.gain / scale[:, :, None])
     reduced = left.swapaxes(-1, -2) @ of_power @ left
     factor_reduced(reduced, seen, variance.shape[1], what="covariance")
     root, sign = _signed_root(of_power, np.linalg.eigvalsh(reduced + unit_pivots(seen)).min(axis=1))
@@ -163,8 +167,8 @@ def power_likelihood(
         gain=data.gain,
         offset=data.offset,
         power=power,
-        reference=reference,
-        datum=np.einsum("rbs,rb->rs", left, (data.variance / reference) ** power),
+        reference=scale,
+        datum=np.einsum("rbs,rb->rs", left, (data.variance / scale) ** power),
         left=left,
         centre=centre,
         root=root,
