@@ -3,6 +3,8 @@ from .calibration import calibrate as calibrate
 from .campaign import Campaign as Campaign
 from .campaign import fit_campaign as fit_campaign
 from .campaign import read_summary as read_summary
+from .comparing import compare as compare
+from .comparison_plot import plot_comparison as plot_comparison
 from .diagnostics import autocorrelation_time as autocorrelation_time
 from .diagnostics import ess_bulk as ess_bulk
 from .diagnostics import ess_tail as ess_tail
@@ -14,6 +16,7 @@ from .errors import MissingExtraError as MissingExtraError
 from .errors import NoiseMismatchError as NoiseMismatchError
 from .errors import NotPositiveDefiniteError as NotPositiveDefiniteError
 from .errors import WorkerError as WorkerError
+from .estimators import estimate as estimate
 from .fitting import fit as fit
 from .forward import Sight as Sight
 from .forward import design_matrix as design_matrix

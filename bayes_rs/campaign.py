@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -25,15 +28,15 @@ from bayes_rs.nuisance import Nuisances
 from bayes_rs.output import prepare_resumable_folder, write_run
 from bayes_rs.prior import Prior
 from bayes_rs.progress import progress_counter
-from bayes_rs.result import FLAGS, N_PRIOR_DRAW, PRIOR_SEED
+from bayes_rs.result import FLAGS, N_PRIOR_DRAW, PRIOR_SEED, noise_summary
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
 from bayes_rs.summarizing import PriorOutline, check_summary_options, summarize_draws, summary_frame
-from bayes_rs.workers import run_dask, run_processes, run_serial
+from bayes_rs.workers import check_client, run_dask, run_processes, run_serial
 
 DRAWS = ("none", "float32", "float64")
 """What is kept of the draws."""
-PART_RECORDS = 512
+PART_RECORDS = 128
 """Records of a part: what is lost at most when a run is interrupted, for each worker."""
 _PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
 
@@ -125,12 +128,16 @@ def fit_campaign(
 
     Parameters
     ----------
-    records, scan, noise, seed, prior, target, likelihood, nuisances, target_ess, max_extension, instrument_noise
+    records, scan
         As in `fit`.
     output : str or Path
         Folder to write.
+    noise, seed, prior, target
+        As in `fit`.
     sampler : str
         As in `fit`; by default direct draws, and emcee where those do not do.
+    likelihood, nuisances, target_ess, max_extension, instrument_noise
+        As in `fit`.
     prob, derived
         As in `summary`.
     draws : str
@@ -157,13 +164,17 @@ def fit_campaign(
         If input does not belong together, the folder may not be written, or it holds a run of something else.
     WorkerError
         If worker processes die again and again.
+    OSError
+        If a part cannot be written, as on a full disk.
 
     Notes
     -----
     The folder holds Parquet datasets of one file for each part: ``summary`` (the columns of `summary`), ``posterior``
-    (one row a record: flag, sampler, diagnostics, and the covariance of the stresses) and, on request, ``draws`` (one
-    row a draw). A part appears whole or not at all. All numbers are the same for a seed, whatever the number of
-    workers, the order in which they finish, and however often the run was interrupted; they are those of `fit`.
+    (one row a record: flag, sampler, diagnostics, whether it is outside the noise bank, and the covariance of the
+    stresses) and, on request, ``draws`` (one row a draw); pandas reads each as one table. A part appears whole or not
+    at all. Whatever ends a run, what was finished is kept, and a note of the error says how much. All numbers are the
+    same for a seed, whatever the number of workers, the order in which they finish, and however often the run was
+    interrupted; they are those of `fit`.
 
     Examples
     --------
@@ -181,27 +192,41 @@ def fit_campaign(
     check_summary_options(prob, derived)
     check_choice(draws, DRAWS, what="draws")
     check_count(workers, what="workers")
+    if client is not None:
+        check_client(client)
     options = fit_options(
         prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
     )
     scan, noise, batch = prepare(records, scan, noise)
-    key = digest(__version__, scan.key, noise, batch, options, prob, tuple(derived), draws, PART_RECORDS)
-    folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
     parts = _parts(records, batch)
+    described = [(part.record, part.time, part.flag) for part in parts]
+    key = digest(__version__, scan.key, noise, batch, described, options, prob, derived, draws, PART_RECORDS)
+    folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
     datasets = ("summary", "posterior", *(("draws",) if draws != "none" else ()))
-    left = [part for part in parts if not all(_file(folder, name, part.index).is_file() for name in datasets)]
-    n_resumed = sum(len(part.batch) for part in parts) - sum(len(part.batch) for part in left)
+    left = [part for part in parts if not all(_is_whole(_file(folder, name, part.index)) for name in datasets)]
+    n_resumed = n_done = len(batch) - sum(len(part.batch) for part in left)
     outline = PriorOutline(options.prior.draw(N_PRIOR_DRAW, PRIOR_SEED), derived)
     shared = _Shared(noise, options, outline, prob, draws, scan.n_beam)
-    with progress_counter(
-        len(batch), "fitting", " records", disable=None if show_progress is None else not show_progress
-    ) as bar:
-        bar.update(n_resumed)
-        for done in _run(shared, left, workers, client):
-            for name, table in done.tables.items():
-                _write(table, _file(folder, name, done.index))
-            bar.update(len(done.tables["posterior"]))
-    flag = pd.read_parquet(folder / "posterior", columns=["flag_bits"])["flag_bits"].to_numpy()
+    silent = None if show_progress is None else not show_progress
+    try:
+        with (
+            progress_counter(len(batch), "fitting", " records", initial=n_resumed, disable=silent) as bar,
+            closing(_run(shared, left, workers, client)) as finished,
+        ):
+            for done in finished:
+                for name, table in done.tables.items():
+                    _write(table, _file(folder, name, done.index))
+                n_done += len(done.tables["posterior"])
+                bar.update(len(done.tables["posterior"]))
+    except BaseException as error:
+        error.add_note(
+            f"{n_done} of {len(batch)} records are finished and kept in {str(folder)!r}: the same call with resume "
+            "goes on from there."
+        )
+        raise
+    _tidy(folder, datasets)
+    row = pd.read_parquet(folder / "posterior", columns=["flag_bits", "outside_noise"])
+    flag = row["flag_bits"].to_numpy()
     unfitted = FLAGS["no_usable_beam"] | FLAGS["no_wind"]
     campaign = Campaign(
         folder,
@@ -223,14 +248,17 @@ def fit_campaign(
             "target": target,
             "sampler": sampler,
             "likelihood": likelihood,
-            "instrument_noise": instrument_noise,
+            "noise": noise_summary(noise),
+            "instrument_noise": float(instrument_noise),
             "seed": options.seed,
-            "target_ess": target_ess,
-            "prob": prob,
+            "target_ess": int(target_ess),
+            "max_extension": int(max_extension),
+            "prob": float(prob),
             "derived": list(derived),
             "draws": draws,
             "n_record": campaign.n_record,
             "n_fitted": campaign.n_fitted,
+            "n_outside_noise": int(np.count_nonzero(row["outside_noise"])),
             "flags": campaign.flags,
             "finished": True,
         },
@@ -266,17 +294,17 @@ def _parts(records: xr.Dataset, batch: Batch) -> list[_Part]:
     fitted = can_be_fitted(batch)
     flag = flags_before(records, batch.used, fitted)
     n_record = len(batch)
-    number = np.asarray(records["record"].values) if "record" in records.coords else np.arange(n_record)
-    start = (
-        records["time"].values.astype("datetime64[ns]")
-        if "time" in records.coords
-        else np.full(n_record, np.datetime64("NaT", "ns"))
-    )
+    number = np.arange(n_record)  # as in the result of `fit`
+    start = np.full(n_record, np.datetime64("NaT", "ns"))
+    if "time" in records.coords:
+        start = records["time"].values
+        if np.issubdtype(start.dtype, np.datetime64):
+            start = start.astype("datetime64[ns]")  # one type for all parts, and for records from any source
     slices = [slice(first, first + PART_RECORDS) for first in range(0, n_record, PART_RECORDS)]
     return [_Part(i, batch.take(rows), number[rows], start[rows], flag[rows]) for i, rows in enumerate(slices)]
 
 
-def _run(shared: _Shared, parts: list[_Part], workers: int, client: Any) -> Iterator[_Done]:
+def _run(shared: _Shared, parts: list[_Part], workers: int, client: Any) -> Generator[_Done, None, None]:
     if client is not None:
         return run_dask(fit_part, shared, parts, client)
     if workers == 1 or len(parts) < 2:
@@ -293,6 +321,7 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
     covariance = np.full((n_record, len(_PAIRS)), np.nan)
     per_record = {name: np.full(n_record, np.nan) for name in ("acceptance_rate", "n_step", "pareto_k", "misfit")}
     sampler = np.full(n_record, "", dtype=object)
+    outside = np.zeros(n_record, dtype=np.bool_)
     kept: list[pd.DataFrame] = []
     size = min(batch_size(shared.n_beam), 128)
     for first in range(0, len(fitted), size):
@@ -313,6 +342,7 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
         per_record["pareto_k"][some] = chains.pareto_k
         per_record["misfit"][some] = draws.misfit
         sampler[some] = chains.sampler
+        outside[some] = draws.outside
         if shared.draws != "none":
             kept.append(_draws_table(flat, part.record[some], shared.draws))
     tables = {
@@ -330,6 +360,7 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
                 "time": part.time,
                 "flag_bits": flag,
                 "sampler": sampler,
+                "outside_noise": outside,
                 **per_record,
                 **{f"cov_{STRESSES[i]}_{STRESSES[j]}": covariance[:, column] for column, (i, j) in enumerate(_PAIRS)},
             }
@@ -357,12 +388,30 @@ def _file(folder: Path, dataset: str, index: int) -> Path:
     return folder / dataset / f"part-{index:06d}.parquet"
 
 
+def _is_whole(file: Path) -> bool:
+    """Tell whether a file is there and readable: what cannot be read is done again."""
+    try:
+        pq.read_metadata(file)
+    except (OSError, pa.ArrowInvalid):
+        return False
+    return True
+
+
 def _write(table: pd.DataFrame, file: Path) -> None:
     """Write a table that appears whole or not at all."""
     file.parent.mkdir(exist_ok=True)
-    part = file.with_name(f".{file.name}.{os.getpid()}")
+    part = file.with_name(f".{file.name}.{os.getpid()}")  # readers of the folder pass over names with a dot
     try:
         table.to_parquet(part, index=False)
+        with part.open("rb") as written:
+            os.fsync(written.fileno())  # on the disk before it has its name: a power cut leaves no empty part
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _tidy(folder: Path, datasets: Sequence[str]) -> None:
+    """Remove what interrupted runs had half written."""
+    for name in datasets:
+        for leftover in (folder / name).glob(".part-*.parquet.*"):
+            leftover.unlink(missing_ok=True)

@@ -12,18 +12,51 @@ import click
 from bayes_rs._version import __version__
 
 if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayes_rs.job import Outcome
+    from bayes_rs.long_job import LongOutcome
     from bayes_rs.noise import NoiseBank, NoiseModel
+    from bayes_rs.nuisance import Nuisances
     from bayes_rs.scan import Scan
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 EXIT_FLAGGED = 1
 EXIT_BAD_INPUT = 2
+_JOB_OPTIONS = (
+    "noise_file",
+    "turbulence",
+    "noise_method",
+    "prior",
+    "target",
+    "sampler",
+    "likelihood",
+    "target_ess",
+    "instrument_noise",
+    "prob",
+    "derived",
+    "seed",
+)
+"""Options of `fit` that both kinds of jobs take under the same name."""
+_SENSITIVITY_OPTIONS = (
+    "noise_file",
+    "turbulence",
+    "noise_method",
+    "prior",
+    "factors",
+    "prob",
+    "target",
+    "sampler",
+    "instrument_noise",
+    "seed",
+)
+"""Options of `sensitivity` that its job takes under the same name."""
 
 
 def main() -> None:
     """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
-    from bayes_rs.errors import InputError, MissingExtraError
+    from bayes_rs.errors import InputError, MissingExtraError, WorkerError
 
     try:
         code = commands.main(prog_name="bayes-rs", standalone_mode=False)
@@ -33,15 +66,20 @@ def main() -> None:
     except click.ClickException as error:
         click.echo(f"bayes-rs: {error.format_message()}", err=True)
         code = EXIT_BAD_INPUT
-    except click.Abort:
+    except click.Abort as error:
         click.echo("bayes-rs: interrupted.", err=True)
+        _echo_notes(error.__cause__ or error.__context__)
         code = 130
-    except (InputError, MissingExtraError, OSError) as error:
+    except (InputError, MissingExtraError, WorkerError, OSError) as error:
         click.echo(f"bayes-rs: {error}", err=True)
-        for note in getattr(error, "__notes__", []):
-            click.echo(f"bayes-rs: {note}", err=True)
+        _echo_notes(error)
         code = EXIT_BAD_INPUT
     sys.exit(code)
+
+
+def _echo_notes(error: BaseException | None) -> None:
+    for note in getattr(error, "__notes__", []):
+        click.echo(f"bayes-rs: {note}", err=True)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -137,6 +175,49 @@ def _record_options(command: _Command) -> _Command:
     return command
 
 
+def _nuisance_options(command: _Command) -> _Command:
+    for option in reversed(
+        [
+            click.option(
+                "--yaw-sd",
+                type=float,
+                default=0.0,
+                help="Uncertainty of the wind direction, degrees (standard deviation).",
+            ),
+            click.option("--tilt-sd", type=float, default=0.0, help="Uncertainty of the lidar's tilt, degrees."),
+            click.option(
+                "--instrument-noise-sd",
+                type=float,
+                default=0.0,
+                help="Uncertainty of --instrument-noise: standard deviation of its logarithm.",
+            ),
+            click.option(
+                "--length-scale-sd",
+                type=float,
+                default=0.0,
+                help="Uncertainty of the turbulence's length scale: standard deviation of its logarithm.",
+            ),
+            click.option(
+                "--length-scale",
+                type=float,
+                help="Median length scale, m, with --length-scale-sd; by default the records' own, or that of "
+                "--turbulence.",
+            ),
+            click.option(
+                "--inflation", type=float, default=1.0, help="Factor of the noise's covariance, for less Gaussian flow."
+            ),
+            click.option(
+                "--inflation-dof",
+                type=float,
+                default=float("inf"),
+                help="Degrees of freedom of an uncertain factor; by default it is certain.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
 @commands.command()
 @click.option("-o", "--output", default="bayes-rs-demo", show_default=True, help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier demo.")
@@ -224,6 +305,7 @@ def plan(
 )
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
 @click.option("--method", default="theory", show_default=True, help="theory or boxes.")
+@click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
 @click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
@@ -235,6 +317,7 @@ def calibrate(
     noise_yaw: tuple[float, ...],
     duration: float,
     method: str,
+    sonic: bool,
     n_boxes: int,
     seed: int,
     output: Path,
@@ -256,6 +339,7 @@ def calibrate(
             method=method,
             n_boxes=n_boxes,
             seed=seed,
+            sonic=sonic,
         )
         noise.save(part)
     for line in _noise_lines(noise):
@@ -279,7 +363,17 @@ def calibrate(
 )
 @click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
 @click.option("--prior", default="weak", show_default=True, help="weak or flat.")
-@click.option("--target", default="record", show_default=True, help="record or ensemble: which R.")
+@click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
+@click.option(
+    "--sampler",
+    default="emcee",
+    show_default=True,
+    help="emcee, direct, auto or emcee-plain; auto is direct, and emcee for the records where that does not do.",
+)
+@click.option(
+    "--likelihood", default="log-normal", show_default=True, help="log-normal, gamma, gaussian or gaussian-plugin."
+)
+@_nuisance_options
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
 @click.option(
     "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
@@ -289,36 +383,57 @@ def calibrate(
     "--derived", multiple=True, help="More rows in the summary: ti, tke, friction_velocity, anisotropy_2, anisotropy_3."
 )
 @click.option("--seed", type=int, default=1, show_default=True)
+@click.option(
+    "--draws",
+    type=click.Choice(["full", "float32", "float64", "none"]),
+    default="full",
+    show_default=True,
+    help="What is kept of the draws. full: the result in one NetCDF file, with figures, for up to 2000 records. "
+    "The others are for any number of records, part by part into Parquet tables.",
+)
+@click.option("--workers", type=int, default=1, show_default=True, help="Processes that share the work; not with full.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run of the same command; not with full.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
-def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+def fit(
+    files: tuple[Path, ...], output: Path, draws: str, workers: int, resume: bool, overwrite: bool, **options: Any
+) -> None:
     """Estimate the Reynolds stresses of every record, with credible intervals.
 
-    FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
+    FILES are radial velocities, or records that `bayes-rs records` wrote: of a year, one file a month, say.
     """
     from bayes_rs.job import run_fit
+    from bayes_rs.long_job import MOST_FULL, run_long_fit
     from bayes_rs.output import check_output_folder
 
-    check_output_folder(output, overwrite=overwrite)
+    if not resume:
+        check_output_folder(output, overwrite=overwrite)
     made, scan = _make_records(files, options)
-    outcome = run_fit(
-        made,
-        scan,
-        output,
-        noise_file=options["noise_file"],
-        turbulence=options["turbulence"],
-        noise_method=options["noise_method"],
-        prior=options["prior"],
-        target=options["target"],
-        target_ess=options["target_ess"],
-        instrument_noise=options["instrument_noise"],
-        prob=options["prob"],
-        derived=options["derived"],
-        seed=options["seed"],
-        overwrite=overwrite,
-        say=lambda line: click.echo(line, err=True),
-        source_files=[file.name for file in files],
-    )
+    common: dict[str, Any] = {
+        **{name: options[name] for name in _JOB_OPTIONS},
+        "nuisances": _nuisances(made, options),
+        "overwrite": overwrite,
+        "say": lambda line: click.echo(line, err=True),
+        "source_files": [file.name for file in files],
+    }
+    n_record = made.sizes["record"]
+    if draws == "full" and n_record > MOST_FULL:
+        click.echo(
+            f"{n_record} records: more than {MOST_FULL}, so no draws and no figures are kept; "
+            "--draws float32 keeps the draws",
+            err=True,
+        )
+        draws = "none"
+    outcome: Outcome | LongOutcome
+    if draws == "full":
+        if resume or workers != 1:
+            raise click.UsageError(
+                f"--resume and --workers are not for --draws full, which up to {MOST_FULL} records have by default: "
+                "add --draws none, float32 or float64."
+            )
+        outcome = run_fit(made, scan, output, **common)
+    else:
+        outcome = run_long_fit(made, scan, output, draws=draws, workers=workers, resume=resume, **common)
     for line in outcome.words:
         click.echo(line)
     click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
@@ -326,6 +441,105 @@ def fit(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) 
         click.echo(line, err=True)
     if outcome.failures:
         sys.exit(EXIT_FLAGGED)
+
+
+@commands.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_scan_options
+@_reading_options
+@_record_options
+@click.option(
+    "--noise",
+    "noise_file",
+    type=click.Path(path_type=Path),
+    help="Noise file; by default it is made for the records' wind speeds and directions.",
+)
+@click.option(
+    "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
+)
+@click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
+@click.option("--prior", default="weak", show_default=True, help="The prior whose width is varied, as for fit.")
+@click.option(
+    "--factor",
+    "factors",
+    type=float,
+    multiple=True,
+    default=(0.5, 2.0),
+    show_default=True,
+    help="Factor of all widths of the prior; several are compared.",
+)
+@click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
+@click.option("--sampler", default="auto", show_default=True, help="emcee, direct, auto or emcee-plain.")
+@_nuisance_options
+@click.option(
+    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
+)
+@click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the central intervals.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="CSV file to write, with all columns.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, **options: Any) -> None:
+    """Fit the records under narrower and wider priors, and say which stresses the data decided.
+
+    FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
+    """
+    from contextlib import nullcontext
+
+    from bayes_rs.output import output_file
+    from bayes_rs.sensitivity_job import run_sensitivity, sensitivity_lines
+
+    with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
+        made, scan = _make_records(files, options)
+        table = run_sensitivity(
+            made,
+            scan,
+            **{name: options[name] for name in _SENSITIVITY_OPTIONS},
+            nuisances=_nuisances(made, options),
+            say=lambda line: click.echo(line, err=True),
+        )
+        if part is not None:
+            table.to_csv(part, index=False)
+    click.echo(
+        f"Widths of {100.0 * options['prob']:g} % intervals, m² s⁻², medians over the fitted of "
+        f"{made.sizes['record']} records. With the prior's width times a factor:"
+    )
+    click.echo("the posterior's width over its own under the prior itself; near 1, the data decide.")
+    for line in sensitivity_lines(table):
+        click.echo(line)
+    if output is not None:
+        click.echo(f"table in {output}")
+
+
+@commands.command(name="compare")
+@click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
+@click.option("--turbulence", multiple=True, default=("fu-2022",), show_default=True, help="Name or file; repeatable.")
+@click.option("--prior", multiple=True, default=("weak",), show_default=True, help="As for fit; repeatable.")
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option("--target", default="record", show_default=True, help="record or ensemble: which R.")
+@click.option(
+    "--method",
+    type=click.Choice(["fast", "full", "both"]),
+    default="fast",
+    show_default=True,
+    help="fast: variances drawn from the noise model; full: simulated records.",
+)
+@click.option("--records", "n_records", type=int, help="Records for each scene; 128 fast, 200 full by default.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
+def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> None:
+    """Compare scans by how well they would know each stress.
+
+    SCAN is a name that `bayes-rs scans` lists or a TOML file, with changes after an @, such as
+    6-beam@opening_angle_deg=30,focus_distance=49+98.
+    """
+    from bayes_rs.compare_job import run_compare
+
+    _, words = run_compare(scans, output, **options)
+    for line in words:
+        click.echo(line)
+    click.echo(f"table, figure and JSON in {output}")
 
 
 @commands.command()
@@ -363,14 +577,37 @@ def _load_scan(options: dict[str, Any]) -> Scan:
     )
 
 
+def _nuisances(records: xr.Dataset, options: dict[str, Any]) -> Nuisances:
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.nuisance import Nuisances
+
+    length_scale = options["length_scale"]
+    if length_scale is not None and not options["length_scale_sd"] > 0.0:
+        raise click.UsageError(
+            "--length-scale is only used with --length-scale-sd: give both, or another --turbulence."
+        )
+    made_here = options["noise_file"] is None and "length_scale" not in records
+    if options["length_scale_sd"] > 0.0 and length_scale is None and made_here:
+        length_scale = load_turbulence(options["turbulence"]).length_scale
+    return Nuisances(
+        yaw_sd_deg=options["yaw_sd"],
+        tilt_sd_deg=options["tilt_sd"],
+        instrument_noise_log_sd=options["instrument_noise_sd"],
+        length_scale_log_sd=options["length_scale_sd"],
+        length_scale=length_scale,
+        inflation=options["inflation"],
+        inflation_dof=options["inflation_dof"],
+    )
+
+
 def _make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Any, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
-    from bayes_rs.job import open_records
+    from bayes_rs.job import open_record_files
     from bayes_rs.readers import read_radial_velocity
     from bayes_rs.records import describe_report, make_records
 
     scan = _load_scan(options)
-    if len(files) == 1 and (made := open_records(files[0], scan)) is not None:
+    if (made := open_record_files(files, scan)) is not None:
         return made, scan
     series = read_radial_velocity(
         list(files),

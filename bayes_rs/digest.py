@@ -7,10 +7,13 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def digest(*things: Any) -> str:
     """Return a hexadecimal SHA-256 fingerprint of arrays, numbers, texts, containers and objects made of them.
+
+    Equal numbers have one fingerprint, whatever their type: 1, 1.0 and ``np.float64(1.0)``.
 
     Examples
     --------
@@ -24,25 +27,39 @@ def digest(*things: Any) -> str:
 
 
 def _update(state: Any, thing: Any) -> None:
-    if isinstance(thing, np.ndarray):
-        state.update(f"array {thing.dtype} {thing.shape} ".encode())
-        state.update(repr(thing.tolist()).encode() if thing.dtype == object else np.ascontiguousarray(thing).tobytes())
-    elif is_dataclass(thing) and not isinstance(thing, type):
-        state.update(f"{type(thing).__qualname__}(".encode())
-        for entry in fields(thing):
-            state.update(entry.name.encode())
-            _update(state, getattr(thing, entry.name))
-    elif isinstance(thing, dict):
-        state.update(b"{")
-        for key in sorted(thing, key=str):
-            state.update(str(key).encode())
-            _update(state, thing[key])
+    """Feed one thing; each ends where the next one cannot be taken for a part of it."""
+    if isinstance(thing, np.generic):
+        thing = thing.item() if isinstance(thing.item(), (bool, int, float, str, bytes)) else str(thing)
+    if isinstance(thing, float) and thing.is_integer():
+        thing = int(thing)
+    if thing is None or isinstance(thing, (str, bytes, int, float)):
+        state.update(f"{thing!r};".encode())
+    elif isinstance(thing, np.ndarray):
+        _update_array(state, thing)
     elif isinstance(thing, (list, tuple)):
-        state.update(b"[")
+        state.update(f"list {len(thing)} ".encode())
         for item in thing:
             _update(state, item)
-    elif thing is None or isinstance(thing, (str, bytes, int, float, np.generic)):
-        state.update(f"{type(thing).__name__} {thing!r};".encode())
+    elif isinstance(thing, dict):
+        state.update(f"dict {len(thing)} ".encode())
+        for key in sorted(thing, key=repr):
+            _update(state, [key, thing[key]])
     else:
         state.update(f"{type(thing).__qualname__} ".encode())
-        _update(state, vars(thing))
+        _update(state, _attributes(thing))
+
+
+def _update_array(state: Any, array: NDArray[Any]) -> None:
+    state.update(f"array {array.dtype} {array.shape} ".encode())
+    if array.dtype == object:
+        _update(state, array.tolist())
+    else:
+        state.update(np.ascontiguousarray(array).tobytes())
+
+
+def _attributes(thing: Any) -> dict[str, Any]:
+    if is_dataclass(thing) and not isinstance(thing, type):
+        return {entry.name: getattr(thing, entry.name) for entry in fields(thing)}
+    if callable(thing) or not hasattr(thing, "__dict__"):
+        raise TypeError(f"No fingerprint of {thing!r}: it must be made of arrays, numbers, texts and containers.")
+    return dict(vars(thing))

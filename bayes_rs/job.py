@@ -16,10 +16,12 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
+from bayes_rs.direction_table import direction_words, directions
 from bayes_rs.errors import InputError
 from bayes_rs.fitting import fit
 from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.noise_reading import load_noise
+from bayes_rs.nuisance import Nuisances
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
@@ -67,6 +69,9 @@ def run_fit(
     noise_method: str = "theory",
     prior: str = "weak",
     target: str = "record",
+    sampler: str = "emcee",
+    likelihood: str = "log-normal",
+    nuisances: Nuisances | None = None,
     target_ess: int = 1000,
     instrument_noise: float = 0.0,
     prob: float = 0.9,
@@ -93,8 +98,8 @@ def run_fit(
         Turbulence of the noise, if no file is given.
     noise_method : str
         ``"theory"`` or ``"boxes"``, if no file is given.
-    prior, target, target_ess, instrument_noise
-        As for `fit`.
+    prior, target, sampler, likelihood, nuisances, target_ess, instrument_noise
+        As for `fit`; noise that is made for an uncertain length scale spans it.
     prob, derived
         As for `summary`.
     seed : int
@@ -121,7 +126,16 @@ def run_fit(
     check_summary_options(prob, derived)
     with output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
-        noise = _noise(records, scan, noise_file, turbulence, noise_method, say)
+        noise = noise_of_job(
+            records,
+            scan,
+            noise_file=noise_file,
+            turbulence=turbulence,
+            method=noise_method,
+            sonic=target == "sonic",
+            nuisances=nuisances,
+            say=say,
+        )
         clock.append(time.perf_counter())
         result = fit(
             records,
@@ -130,6 +144,9 @@ def run_fit(
             seed=seed,
             prior=prior,
             target=target,
+            sampler=sampler,
+            likelihood=likelihood,
+            nuisances=nuisances,
             target_ess=target_ess,
             instrument_noise=instrument_noise,
         )
@@ -149,14 +166,15 @@ def run_fit(
         write_run(
             folder,
             {
-                "bayes_rs": __version__,
-                "python": platform.python_version(),
-                "packages": {name: version(name) for name in ("emcee", "numpy", "scipy", "xarray")},
+                **versions(),
                 "source_files": list(source_files),
                 "scan": scan.name,
                 "scan_key": scan.key,
                 "scene": {key: _plain(value) for key, value in result.attrs.items() if key != "noise"},
                 "noise": json.loads(result.attrs["noise"]),
+                "sampler": sampler,
+                "likelihood": likelihood,
+                "nuisances": result.attrs["nuisances"],
                 "instrument_noise": instrument_noise,
                 "n_record": len(flags),
                 "n_fitted": len(fitted),
@@ -170,7 +188,16 @@ def run_fit(
         f"{_record_name(result, index)}: {flag_words(flags[index])}"
         for index in np.flatnonzero(flags & FAILURES).tolist()
     ]
-    return Outcome(result, table, len(flags), len(fitted), failures, _words(result, table))
+    return Outcome(result, table, len(flags), len(fitted), failures, _words(result, scan, table))
+
+
+def versions() -> dict[str, Any]:
+    """Return what `run.json` says of the software."""
+    return {
+        "bayes_rs": __version__,
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in ("emcee", "numpy", "scipy", "xarray")},
+    }
 
 
 def open_result(folder: str | Path) -> xr.DataTree:
@@ -192,6 +219,11 @@ def open_result(folder: str | Path) -> xr.DataTree:
         If the folder holds no result, or one that cannot be read.
     """
     path = Path(folder) / POSTERIOR_FILE
+    if (Path(folder) / "summary").is_dir() and not path.exists():
+        raise InputError(
+            f"No full result in {str(folder)!r}: it holds the tables of a long fit; read them with pandas, or fit the "
+            "records of interest with --draws full."
+        )
     if not path.is_file():
         raise InputError(
             f"No result in {str(folder)!r}: it has no {POSTERIOR_FILE}; give the output folder of bayes-rs fit."
@@ -231,28 +263,117 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     return dataset
 
 
-def _noise(
+def open_record_files(paths: Sequence[str | Path], scan: Scan) -> xr.Dataset | None:
+    """Read records that were written before, of one file or several; None if they are something else.
+
+    Raises
+    ------
+    InputError
+        If the records were made with another scan, or those of several files do not go together.
+    """
+    found: list[xr.Dataset] = []
+    for path in paths:
+        records = open_records(path, scan)
+        if records is None:
+            return None
+        found.append(records)
+    first = found[0]
+    for path, records in zip(paths, found, strict=True):
+        for what, one, other in (
+            ("beams", first["beam"].values.tolist(), records["beam"].values.tolist()),
+            ("duration", first.attrs.get("duration"), records.attrs.get("duration")),
+        ):
+            if one != other:
+                raise InputError(
+                    f"The records in {str(path)!r} have {what} {other} and those in {str(paths[0])!r} {one}: fit them "
+                    "separately."
+                )
+    if len(found) == 1:
+        return first
+    joined = xr.concat(
+        found,
+        dim="record",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
+        combine_attrs="override",
+    )
+    joined = joined.drop_encoding()  # the first file's unit of time need not suit the others
+    joined.attrs.pop("records_report", None)  # it is that of the first file
+    if "time" in joined.coords and joined.indexes.get("time") is None:
+        again = joined["time"].to_series().duplicated().to_numpy()
+        if again.any():
+            raise InputError(
+                f"{np.count_nonzero(again)} records start at the same time as another, the first at "
+                f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap."
+            )
+    return joined
+
+
+def noise_of_job(
     records: xr.Dataset,
     scan: Scan,
+    *,
     noise_file: str | Path | None,
     turbulence: str,
     method: str,
+    sonic: bool,
+    nuisances: Nuisances | None,
     say: Callable[[str], None],
 ) -> NoiseModel | NoiseBank:
+    """Read the noise, or make it for the records, and say which it is."""
     if noise_file is not None:
         return load_noise(noise_file)
     from bayes_rs.mann import load_turbulence  # noqa: PLC0415
     from bayes_rs.noise_choice import noise_for_records  # noqa: PLC0415 - not needed with a file
 
-    used = scan.select(records["beam"].values)
-    noise, words = noise_for_records(records, used, load_turbulence(turbulence), method=method)
+    flow = load_turbulence(turbulence)
+    noise, words = noise_for_records(
+        records,
+        scan.select(records["beam"].values),
+        flow,
+        method=method,
+        sonic=sonic,
+        length_scale=_length_scales(records, nuisances),
+    )
     say(words)
     return noise
 
 
-def _words(result: xr.DataTree, table: pd.DataFrame) -> list[str]:
+def _length_scales(records: xr.Dataset, nuisances: Nuisances | None) -> list[float] | None:
+    """Return the shortest and longest L that the posterior is averaged over; None if L is certain."""
+    if nuisances is None or nuisances.length_scale_log_sd == 0.0:
+        return None
+    median = records.get("length_scale") if nuisances.length_scale is None else xr.DataArray(nuisances.length_scale)
+    if median is None:
+        return None  # not certain, but its median is not known: the fit says so
+    factors = nuisances.length_scale_nodes()[0]
+    return [float(median.min() * factors.min()), float(median.max() * factors.max())]
+
+
+def _words(result: xr.DataTree, scan: Scan, table: pd.DataFrame) -> list[str]:
+    lines = describe(result.attrs["scan"], result.attrs["sight"], result.attrs["prior"], table)
+    return lines + _least_seen(result, scan)
+
+
+def _least_seen(result: xr.DataTree, scan: Scan) -> list[str]:
+    """Say along which direction of R the scan sees least, and how far the posterior contracted there."""
+    columns = ["weight", "contraction", "contraction_shape", *STRESSES]
+    along = directions(result, scan).groupby("direction")[columns].median().dropna()
+    if along.empty:
+        return []
+    unseen = int((along["weight"] == 0.0).sum())
+    last = along.sort_values(["weight", "contraction_shape"]).iloc[0]
+    which = direction_words(last[list(STRESSES)].to_numpy(dtype=np.float64))
+    how = {0: "", 1: " (not at all)"}.get(unseen, f" (one of {unseen} that it does not see)")
+    numbers = f"{last['contraction']:.2f}, of the shape {last['contraction_shape']:.2f}"
+    return [f"contraction along what the scan sees least, {which}{how}: {numbers}"]
+
+
+def describe(scan: str, sight: str, prior: str, table: pd.DataFrame) -> list[str]:
     """Say what the scan sees, which prior it was, and how much narrower the posterior is than the prior."""
-    lines = [f"scan {result.attrs['scan']}: {result.attrs['sight']}", f"prior {result.attrs['prior']}"]
+    lines = [f"scan {scan}: {sight}", f"prior {prior}"]
     rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
     if len(rows):
         middle = rows.groupby("stress")[["contraction", "contraction_shape"]].median().loc[list(STRESSES)]

@@ -124,6 +124,7 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
         if final.is_dir() and resume and not final.is_symlink():
             found = _run_key(final)
             if found == key:
+                write_run(final, {"key": key, "finished": False})  # a folder that cannot be written says so now
                 return final
             if found is not None and not overwrite:
                 raise InputError(
@@ -136,10 +137,14 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
                 "it, or overwrite to begin anew."
             )
         _check_free(final, overwrite=overwrite)
-        if final.exists():
-            shutil.rmtree(final)
-        final.mkdir(parents=True)
-        write_run(final, {"key": key, "finished": False})
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-") as name:
+            part = (
+                Path(name) / "run"
+            )  # the folder never exists without its key: it could neither be resumed nor replaced
+            part.mkdir()
+            write_run(part, {"key": key, "finished": False})
+            _take_place(part, final)
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     return final

@@ -43,7 +43,9 @@ def progress(
 
 
 @contextmanager
-def progress_counter(total: int, description: str, unit: str, *, disable: bool | None = None) -> Iterator[Any]:
+def progress_counter(
+    total: int, description: str, unit: str, *, initial: int = 0, disable: bool | None = None
+) -> Iterator[Any]:
     """Show how many of a number of things are done, and how many a second, on stderr.
 
     Parameters
@@ -54,6 +56,8 @@ def progress_counter(total: int, description: str, unit: str, *, disable: bool |
         A few words in front of the bar.
     unit : str
         What is counted, with a blank in front.
+    initial : int
+        How many were done before: they do not count for the speed.
     disable : bool, optional
         As for `progress`.
 
@@ -63,5 +67,7 @@ def progress_counter(total: int, description: str, unit: str, *, disable: bool |
         Its ``update(n)`` says that n more are done.
     """
     silent = not sys.stderr.isatty() if disable is None else disable
-    with tqdm(total=total, desc=description, unit=unit, disable=silent, file=sys.stderr, leave=False) as bar:
+    with tqdm(
+        total=total, initial=initial, desc=description, unit=unit, disable=silent, file=sys.stderr, leave=False
+    ) as bar:
         yield bar

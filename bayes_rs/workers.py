@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+import os
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -19,20 +22,23 @@ _Done = TypeVar("_Done")
 _AHEAD = 2
 """Parts a worker has waiting: enough to be never idle, few enough that memory does not grow with the job."""
 _RESTARTS = 3
-"""How often processes that were killed are started anew."""
+"""How often in a row, with no part finished in between, the parts of workers that died are given out again."""
+_RESUME = "what was finished is kept, and the same call with resume goes on from there."
 
 _shared: Any = None
 
 
-def run_serial(work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part]) -> Iterator[_Done]:
+def run_serial(
+    work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part]
+) -> Generator[_Done, None, None]:
     """Do the parts in this process, one after the other."""
     for part in parts:
-        yield work(shared, part)
+        yield _limited(work, shared, part)
 
 
 def run_processes(
     work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part], n_worker: int
-) -> Iterator[_Done]:
+) -> Generator[_Done, None, None]:
     """Do the parts in several processes; results come in the order in which they are done.
 
     Parameters
@@ -57,34 +63,52 @@ def run_processes(
         If processes are killed again and again.
     """
     waiting = list(range(len(parts)))[::-1]
-    for attempt in range(_RESTARTS + 1):
+    deaths = 0
+    while waiting:
         running: dict[Future[_Done], int] = {}
         # loky: its processes start clean, need no guard in the user's script, and tell when one is killed
-        with ProcessPoolExecutor(n_worker, initializer=_share, initargs=(shared,)) as pool:
-            try:
-                while waiting or running:
-                    while waiting and len(running) < _AHEAD * n_worker:
-                        running[pool.submit(_work, work, parts[waiting[-1]])] = waiting[-1]
-                        waiting.pop()
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        done = future.result()  # before it leaves the list of what runs, so that it can be done again
-                        del running[future]
-                        yield done
-            except BrokenProcessPool as error:
-                waiting += sorted(running.values(), reverse=True)
-                if attempt == _RESTARTS:
-                    raise WorkerError(
-                        f"The worker processes died {attempt + 1} times, perhaps for want of memory: use fewer "
-                        "workers; what was finished is kept, and the same command with resume goes on from there."
-                    ) from error
-            else:
-                return
-            finally:
-                for future in running:
-                    future.cancel()
+        pool = ProcessPoolExecutor(n_worker, initializer=_share, initargs=(shared, os.getpid()))
+        try:
+            while waiting or running:
+                while waiting and len(running) < _AHEAD * n_worker:
+                    running[pool.submit(_work, work, parts[waiting[-1]])] = waiting[-1]
+                    waiting.pop()
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    done = future.result()  # before it leaves the list of what runs, so that it can be done again
+                    del running[future]
+                    deaths = 0
+                    yield done
+        except BrokenProcessPool as error:
+            waiting += sorted(running.values(), reverse=True)
+            deaths += 1
+            if deaths > _RESTARTS:
+                raise WorkerError(
+                    f"The worker processes died {deaths} times in a row, perhaps for want of memory: use fewer "
+                    f"workers; {_RESUME}"
+                ) from error
+        finally:
+            pool.shutdown(kill_workers=bool(running))  # who stops does not wait for what is not wanted any more
 
 
-def run_dask(work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part], client: Any) -> Iterator[_Done]:
+def check_client(client: Any) -> None:
+    """Refuse a Dask client that cannot be used, before any work is done for it.
+
+    Raises
+    ------
+    InputError
+        If it is not a synchronous `dask.distributed.Client`, or that package is not installed.
+    """
+    try:
+        distributed: Any = importlib.import_module("distributed")  # an optional package
+    except ImportError as error:
+        raise InputError('A Dask client needs the package distributed: run pip install "bayes_rs[dask]".') from error
+    if not isinstance(client, distributed.Client) or client.asynchronous:
+        raise InputError(f"Invalid client {client!r}: it must be a dask.distributed.Client, not an asynchronous one.")
+
+
+def run_dask(
+    work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part], client: Any
+) -> Generator[_Done, None, None]:
     """Do the parts on a Dask cluster; results come in the order in which they are done.
 
     Parameters
@@ -106,33 +130,65 @@ def run_dask(work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_
     Raises
     ------
     InputError
-        If `client` is no Dask client.
+        If `client` cannot be used.
+    WorkerError
+        If the cluster has no workers, or they die again and again.
     """
+    check_client(client)
+    distributed: Any = importlib.import_module("distributed")
+    waiting = list(range(len(parts)))[::-1]
+    deaths = 0
+    while waiting:
+        running: dict[Any, int] = {}
+        queue = distributed.as_completed(loop=client.loop)
+        everywhere = _scatter(client, shared)
+        try:
+            while waiting or running:
+                ahead = _AHEAD * max(sum(client.nthreads().values()), 1)  # a cluster may grow
+                while waiting and len(running) < ahead:
+                    future = client.submit(_limited, work, everywhere, parts[waiting[-1]], pure=False)
+                    running[future] = waiting.pop()
+                    queue.add(future)
+                future = next(queue)
+                done = future.result()
+                del running[future]
+                future.release()
+                deaths = 0
+                yield done
+        except (distributed.KilledWorker, distributed.CancelledError) as error:
+            waiting += sorted(running.values(), reverse=True)
+            deaths += 1
+            # cancelled: no worker is left that holds what was shared; killed: the cluster has tried again by itself
+            if deaths > _RESTARTS or isinstance(error, distributed.KilledWorker):
+                raise WorkerError(
+                    f"The Dask workers died again and again, perhaps for want of memory: {error}; {_RESUME}"
+                ) from error
+        finally:
+            client.cancel(list(running))
+
+
+def _scatter(client: Any, shared: Any) -> Any:
     try:
-        distributed: Any = importlib.import_module("distributed")  # an optional package
-    except ImportError as error:
-        raise InputError('A Dask client needs the package distributed: run pip install "bayes_rs[dask]".') from error
-    if not isinstance(client, distributed.Client):
-        raise InputError(f"Invalid client {client!r}: it must be a dask.distributed.Client.")
-    (everywhere,) = client.scatter([shared], broadcast=True, hash=False)
-    waiting = iter(parts)
-    ahead = _AHEAD * max(sum(client.nthreads().values()), 1)
-    first = [
-        client.submit(_limited, work, everywhere, part, pure=False)
-        for part, _ in zip(waiting, range(ahead), strict=False)
-    ]
-    queue = distributed.as_completed(first)
-    for future in queue:
-        yield future.result()
-        future.release()
-        for part in waiting:
-            queue.add(client.submit(_limited, work, everywhere, part, pure=False))
-            break
+        (everywhere,) = client.scatter([shared], broadcast=True, hash=False)
+    except TimeoutError as error:
+        raise WorkerError(
+            f"The Dask cluster has no worker ({client!r}): start some, and wait for them with "
+            "client.wait_for_workers(1)."
+        ) from error
+    return everywhere
 
 
-def _share(shared: Any) -> None:
+def _share(shared: Any, parent: int) -> None:
     global _shared  # noqa: PLW0603 - a process of the pool has nothing else to keep it in
     _shared = shared
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process when the one that started it is gone: killed, it could not say goodbye."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def _work(work: Callable[[Any, _Part], _Done], part: _Part) -> _Done:
@@ -140,5 +196,6 @@ def _work(work: Callable[[Any, _Part], _Done], part: _Part) -> _Done:
 
 
 def _limited(work: Callable[[Any, _Part], _Done], shared: Any, part: _Part) -> _Done:
-    with threadpool_limits(1):  # workers share the cores: more threads in each only get in the others' way
+    # workers share the cores: more threads in each only get in the others' way; and no number depends on how many
+    with threadpool_limits(1):
         return work(shared, part)

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from scenes import plain_noise
 
-from bayes_rs import STRESSES, WeakPrior, cli, load_scan, open_result
+from bayes_rs import STRESSES, WeakPrior, WorkerError, cli, load_scan, open_result
 from bayes_rs.stress import unpack_stress
 
 START = np.datetime64("2020-01-01T12:00", "ns")
@@ -214,7 +214,7 @@ class TestFit:
 
     def test_it_says_what_the_scan_sees_what_the_prior_is_and_how_far_the_data_decided(self, finished):
         folder, done = finished
-        sight, prior, contraction, shape, _ = done.stdout.splitlines()
+        sight, prior, contraction, shape, _, _ = done.stdout.splitlines()
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
@@ -318,6 +318,176 @@ class TestFit:
         assert set(summary_of(tmp_path / "out")["flag"]) == {"beam_left_out"}
         used = open_result(tmp_path / "out")["observed_data/used"].values
         assert used.tolist() == [[1, 1, 1, 1, 0, 1]] * 2
+
+
+class TestLongFit:
+    """`fit --draws none` and its relatives: tables for any number of records."""
+
+    @pytest.fixture
+    def long_fit(self, fit, inputs):
+        def run(*more, **options):
+            return fit(inputs / "good.csv", "--sampler", "auto", *more, **options)
+
+        return run
+
+    def test_it_writes_tables_with_the_numbers_of_the_short_one(self, long_fit, tmp_path):
+        code, out, err = long_fit("--draws", "float32", "--workers", 2)
+        assert code == 0, err
+        folder = tmp_path / "out"
+        assert {file.name for file in folder.iterdir()} == {
+            *("summary", "posterior", "draws"),
+            *("records.nc", "run.json", "summary.csv"),
+        }
+        assert out.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
+        assert any(line.startswith("contraction against the prior") for line in out.splitlines())
+        code, short, _ = long_fit(output=tmp_path / "short")
+        assert code == 0
+        assert (folder / "summary.csv").read_bytes() == (tmp_path / "short" / "summary.csv").read_bytes()
+        assert short.splitlines()[:-2] == out.splitlines()[:-1]  # the short one tells of the least seen direction, too
+        xr.testing.assert_identical(
+            xr.load_dataset(folder / "records.nc"), xr.load_dataset(tmp_path / "short" / "records.nc")
+        )
+
+    def test_records_of_several_files_are_one_campaign(self, fit, bayes_rs, inputs, tmp_path):
+        whole = tmp_path / "whole.nc"
+        assert bayes_rs("records", inputs / "good.csv", "--scan", "6-beam", "-o", whole)[0] == 0
+        for record, name in enumerate(("one", "two")):
+            some = xr.load_dataset(whole).isel(record=[record]).drop_encoding()  # each has its own unit of time
+            some.to_netcdf(tmp_path / f"{name}.nc", engine="h5netcdf")
+        files = [tmp_path / "one.nc", tmp_path / "two.nc"]
+        assert fit(files[0], files[1], "--draws", "none")[0] == 0
+        assert fit(whole, "--draws", "none", output=tmp_path / "whole")[0] == 0
+        assert len(pd.read_csv(tmp_path / "out" / "summary.csv")) == 12
+        assert (tmp_path / "out" / "summary.csv").read_bytes() == (tmp_path / "whole" / "summary.csv").read_bytes()
+        refusal(*fit(files[0], files[0], output=tmp_path / "twice"), "1 records start at the same time as another")
+        some = xr.load_dataset(files[1])
+        for name, other, part in (
+            ("beams", some.isel(beam=slice(0, 5)), "have beams [0, 1, 2, 3, 4] and those in"),
+            ("duration", some.assign_attrs(duration=300.0), "have duration 300.0 and those in"),
+        ):
+            other.to_netcdf(tmp_path / f"{name}.nc", engine="h5netcdf")
+            refusal(*fit(files[0], tmp_path / f"{name}.nc", output=tmp_path / "mixed"), part, "fit them separately")
+
+    def test_run_file_tells_what_was_run(self, long_fit, tmp_path):
+        options = ["--likelihood", "gamma", "--yaw-sd", 2, "--inflation", 1.3]
+        wanted = ("auto", "gamma", "yaw ± 2°, noise inflated by 1.3 (one standard deviation)")
+        for folder, more in (("long", ["--draws", "none"]), ("short", [])):
+            assert long_fit(*options, *more, output=tmp_path / folder)[0] == 0
+            run = json.loads((tmp_path / folder / "run.json").read_text())
+            assert (run["sampler"], run["likelihood"], run["nuisances"]) == wanted
+            assert run["source_files"] == ["good.csv"]
+            assert set(run["packages"]) == {"emcee", "numpy", "scipy", "xarray"}
+
+    def test_it_has_no_corner_plot(self, long_fit, bayes_rs, tmp_path):
+        assert long_fit("--draws", "none")[0] == 0
+        refusal(*bayes_rs("corner", tmp_path / "out"), "No full result in", "the tables of a long fit", "--draws full")
+
+    def test_a_run_is_resumed_and_another_is_refused(self, long_fit, tmp_path):
+        assert long_fit("--draws", "none")[0] == 0
+        numbers = (tmp_path / "out" / "summary.csv").read_bytes()
+        shutil.rmtree(tmp_path / "out" / "posterior")
+        (tmp_path / "out" / "summary.csv").unlink()
+        refusal(*long_fit("--draws", "none"), "exists: give another name, or --overwrite to replace it")
+        code, _, err = long_fit("--draws", "none", "--resume")
+        assert code == 0
+        assert not any("earlier run" in line for line in err)
+        assert (tmp_path / "out" / "summary.csv").read_bytes() == numbers
+        assert "2 of 2 records were finished by an earlier run" in long_fit("--draws", "none", "--resume")[2]
+        refusal(
+            *long_fit("--draws", "none", "--resume", "--seed", 7),
+            "is of a run with other data, options or version, so it cannot be resumed",
+            report=REPORT,
+        )
+
+    def test_an_error_says_what_is_kept(self, long_fit, monkeypatch):
+        def full(*_args, **_options):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
+        code, out, err = long_fit("--draws", "none")
+        assert (code, out) == (2, "")
+        assert err[-2] == "bayes-rs: [Errno 28] No space left on device"
+        assert "0 of 2 records are finished and kept in" in err[-1]
+        assert "with resume goes on from there" in err[-1]
+
+    def test_an_interrupt_says_what_is_kept(self, long_fit, monkeypatch):
+        def interrupt(*_args, **_options):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(pd.DataFrame, "to_parquet", interrupt)
+        code, _, err = long_fit("--draws", "none")
+        assert code == 130
+        assert err[-2] == "bayes-rs: interrupted."
+        assert "with resume goes on from there" in err[-1]
+
+    def test_workers_that_die_are_told_in_one_line(self, long_fit, monkeypatch):
+        def give_up(*_args, **_options):
+            raise WorkerError("The worker processes died 4 times in a row.")
+
+        monkeypatch.setattr("bayes_rs.campaign.run_serial", give_up)
+        code, _, err = long_fit("--draws", "none")
+        assert code == 2
+        assert err[-2] == "bayes-rs: The worker processes died 4 times in a row."
+
+    def test_many_records_keep_no_draws_and_say_so(self, long_fit, monkeypatch, tmp_path):
+        monkeypatch.setattr("bayes_rs.long_job.MOST_FULL", 1)
+        monkeypatch.setattr("bayes_rs.long_job.MOST_CSV", 1)
+        code, _, err = long_fit()
+        assert code == 0
+        assert "2 records: more than 1, so no draws and no figures are kept; --draws float32 keeps the draws" in err
+        assert {file.name for file in (tmp_path / "out").iterdir()} == {
+            "summary",
+            "posterior",
+            "records.nc",
+            "run.json",
+        }
+
+    @pytest.mark.parametrize("more", [("--resume",), ("--workers", 2)])
+    def test_what_the_full_result_does_not_take(self, long_fit, tmp_path, more):
+        refusal(*long_fit(*more), "are not for --draws full, which up to 2000 records have", report=REPORT)
+        assert not (tmp_path / "out").exists()
+
+    def test_failures_are_listed_up_to_a_number(self, fit, monkeypatch, tmp_path):
+        monkeypatch.setattr("bayes_rs.long_job._LISTED", 1)
+        table = velocities()
+        table["radial_velocity"] = np.nan
+        code, out, err = fit(write(table, tmp_path / "none.csv"), "--draws", "none")
+        assert code == 1
+        assert out.splitlines()[-1].startswith("0 of 2 records fitted")
+        assert err[-2] == "record 0 (2020-01-01T12:00): no_usable_beam"
+        assert err[-1] == "and 1 more records: see the column flag of the summary"
+
+    def test_an_uncertain_length_scale_gets_noise_that_spans_it(self, bayes_rs, monkeypatch, tmp_path):
+        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
+        table = velocities()
+        common = ["--scan", "2-beam", "--ess", 100, "--sampler", "direct", "--length-scale-sd", 0.1]
+        file = write(table[table["beam"] < 2], tmp_path / "two.csv")
+        code, _, err = bayes_rs("fit", file, *common, "-o", tmp_path / "out")
+        assert code == 0, err
+        assert any(", L " in line and line.startswith("noise: calculated") for line in err)
+        run = json.loads((tmp_path / "out" / "run.json").read_text())
+        assert run["nuisances"] == "length scale within a factor 1.1 (one standard deviation)"
+
+    @pytest.mark.parametrize(
+        ("more", "parts"),
+        [
+            (("--sampler", "nuts"), ("Unknown sampler 'nuts'",)),
+            (("--likelihood", "normal"), ("Unknown likelihood 'normal'",)),
+            (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
+            (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
+            (("--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
+            (("--length-scale-sd", 0.2), ("The noise knows one length scale only",)),
+            (("--length-scale", 50), ("--length-scale is only used with --length-scale-sd",)),
+            (("--draws", "none", "--workers", 0), ("Invalid workers 0",)),
+        ],
+    )
+    def test_a_value_that_is_not_valid(self, fit, inputs, more, parts):
+        refusal(*fit(inputs / "good.csv", *more), *parts, report=REPORT)
+
+    def test_help_has_the_options(self, bayes_rs):
+        _, out, _ = bayes_rs("fit", "--help")
+        for option in ("--sampler", "--likelihood", "--workers", "--draws", "--resume", "--yaw-sd", "--inflation-dof"):
+            assert f"  {option} " in out
 
 
 class TestCorner:
@@ -518,7 +688,7 @@ class TestBadOptions:
         ("option", "parts"),
         [
             (["--prior", "vague"], ["Unknown prior 'vague': it must be one of weak, flat, ratio, mann."]),
-            (["--target", "sonic"], ["Unknown target 'sonic': it must be one of record, ensemble."]),
+            (["--target", "mean"], ["Unknown target 'mean': it must be one of record, ensemble"]),
             (["--ess", "0"], ["Invalid target_ess 0: it must be a whole number of at least 1."]),
             (["--seed", "-1"], ["Invalid seed -1"]),
             (["--instrument-noise", "-0.1"], ["Invalid instrument_noise -0.1 m² s⁻²"]),

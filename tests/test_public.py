@@ -8,6 +8,8 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "compare",
+    "plot_comparison",
     "prior_sensitivity",
     "directions",
     "direction_words",
@@ -51,6 +53,7 @@ PUBLIC = [
     "design_matrix",
     "ess_bulk",
     "ess_tail",
+    "estimate",
     "cross_spectra",
     "find_shipped_noise",
     "fit_turbulence",

@@ -1,0 +1,77 @@
+"""A small campaign for tests, and for the processes that tests start, interrupt and kill."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scenes import draw_variances, plain_noise, records_of
+
+from bayes_rs import WeakPrior, campaign, load_scan
+
+SCAN = load_scan("6-beam")
+NOISE = plain_noise(SCAN)
+N_RECORD = 23
+PART = 5
+EMPTY_PART = slice(10, 15)
+FIT_PART = campaign.fit_part
+OPTIONS = {"noise": NOISE, "seed": 3, "target_ess": 200}
+
+
+def make_records(n_record=N_RECORD):
+    """Records of the weak prior; where there are 23, a part without any that can be fitted, and others that cannot."""
+    stress = WeakPrior(log_sd_uu=0.5).draw(n_record, seed=11)
+    records = records_of(draw_variances(stress, SCAN, NOISE, np.random.default_rng(12)), SCAN)
+    if n_record == N_RECORD:
+        records["flag"].values[EMPTY_PART] = 1
+        records["wind_speed"].values[2] = np.nan
+        records["flag"].values[4, [0, 3]] = 1
+        records["variance"].values[8] = 0.0
+        records["variance"].values[20, 0] *= 1e-3  # uneven weights: emcee takes over
+    return records
+
+
+def die_at_write(number, *, half_written):
+    """Kill this process when it writes its file of that number, before it or in the middle of it."""
+    write = pd.DataFrame.to_parquet
+    count = iter(range(1_000_000))
+
+    def writing(table, path, **options):
+        write(table, path, **options)
+        if next(count) == number:
+            with Path(path).open("rb+") as file:
+                file.truncate(Path(path).stat().st_size // 2 if half_written else 0)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    pd.DataFrame.to_parquet = writing
+
+
+def fail_at_part_three(shared, part):
+    if part.index == 3:
+        raise ZeroDivisionError("part three")
+    return FIT_PART(shared, part)
+
+
+def fit_part_and_die_once(shared, part):
+    """Kill the worker at the first try of part 2, which the file of that name remembers."""
+    if part.index == 2:
+        try:
+            Path(os.environ.get("BAYES_RS_TEST_DIED", os.devnull)).touch(exist_ok=False)
+        except FileExistsError:  # also on a Dask cluster, where the worker that takes over has a fresh environment
+            pass
+        else:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return FIT_PART(shared, part)
+
+
+def set_variable(name, value):
+    os.environ[name] = value
+
+
+if __name__ == "__main__":
+    campaign.PART_RECORDS = PART
+    folder, workers, number = sys.argv[1:4]
+    die_at_write(int(number), half_written=True)
+    campaign.fit_campaign(make_records(), SCAN, folder, workers=int(workers), **OPTIONS)
