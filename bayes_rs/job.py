@@ -29,7 +29,13 @@ from bayes_rs.stress import STRESSES
 from bayes_rs.summarizing import check_summary_options, summary
 
 POSTERIOR_FILE = "posterior.nc"
-FAILURES = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["short_chain"] | FLAGS["ensembles_differ"]
+FAILURES = (
+    FLAGS["no_usable_beam"]
+    | FLAGS["no_wind"]
+    | FLAGS["short_chain"]
+    | FLAGS["ensembles_differ"]
+    | FLAGS["weights_uneven"]
+)
 """Flags that count as a failure of a record; the others are remarks."""
 
 
