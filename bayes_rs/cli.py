@@ -269,7 +269,9 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
 @click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
 @click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
-@click.option("--prior", default="weak", show_default=True, help="weak or flat.")
+@click.option(
+    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+)
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
 def plan(
     scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
@@ -362,7 +364,9 @@ def calibrate(
     "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
 )
 @click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
-@click.option("--prior", default="weak", show_default=True, help="weak or flat.")
+@click.option(
+    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+)
 @click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
 @click.option(
     "--sampler",
@@ -540,6 +544,51 @@ def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> Non
     for line in words:
         click.echo(line)
     click.echo(f"table, figure and JSON in {output}")
+
+
+@commands.command()
+@click.option("--beams", "n_beams", type=int, required=True, help="Number of beams.")
+@click.option("--max-angle", "max_angle_deg", type=float, help="Largest opening angle, degrees.")
+@click.option("--rotor-radius", type=float, help="Largest distance of a measured point from the axis, m.")
+@click.option(
+    "--focus-distance", type=float, multiple=True, default=(98.0,), show_default=True, help="m; several for planes."
+)
+@click.option("--criterion", type=click.Choice(["width", "variance", "trace"]), default="width", show_default=True)
+@click.option(
+    "--turbulence",
+    multiple=True,
+    default=("fu-2022",),
+    show_default=True,
+    help="Name or file; of several, the worst case counts. Without influence on trace.",
+)
+@click.option("--stress", "stresses", multiple=True, help="For width: which stresses count; all by default.")
+@click.option("--weight", "weights", type=float, multiple=True, help="For width: weight of each --stress.")
+@click.option("--prior", default="weak", show_default=True, help="As for fit.")
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option("--scan-duration", type=float, default=1.0, show_default=True, help="Time for all beams once, s.")
+@click.option("--planes", default="simultaneous", show_default=True, help="simultaneous or sequential.")
+@click.option("--cones", type=int, help="How many opening angles the beams share; each its own by default.")
+@click.option("--centre/--no-centre", default=None, help="Hold one beam on the axis, or none.")
+@click.option("--blocked", multiple=True, metavar="FROM:TO", help="Blocked range of theta, degrees from y towards z.")
+@click.option("--min-elevation", "min_elevation_deg", type=float, help="Least angle above the horizontal, degrees.")
+@click.option(
+    "--min-spread", "min_spread_deg", type=float, default=0.0, show_default=True, help="Angle of two beams at least."
+)
+@click.option("--axis", default="upwind", show_default=True, help="upwind, or up for a lidar on the ground.")
+@click.option("--tilt", "tilt_deg", type=float, default=0.0, show_default=True, help="Tilt of the lidar, degrees.")
+@click.option("--probe-of", metavar="SCAN", help="A scan whose probe volume the beams have; points by default.")
+@click.option("--starts", "n_starts", type=int, default=24, show_default=True, help="Number of local searches.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
+def optimize(output: Path, overwrite: bool, **options: Any) -> None:
+    """Choose the directions of a scan's beams, within limits, so that they tell most about R."""
+    from bayes_rs.optimize_job import run_optimize
+
+    options["stresses"], options["weights"] = options["stresses"] or None, options["weights"] or None
+    run_optimize(output, overwrite=overwrite, say=click.echo, **options)
+    click.echo(f"scan, numbers and picture in {output}")
 
 
 @commands.command()

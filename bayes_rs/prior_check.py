@@ -66,8 +66,9 @@ def prior_sensitivity(
 
     Notes
     -----
-    A stress is ``"the data"`` where the posterior's width grows by less than the power ¼ of the factor from the
-    smallest to the largest factor, ``"the prior"`` where by more than the power ¾, else ``"both"``.
+    A stress is ``"the data"`` where the posterior's width grows by less than the power ¼ of the factor between the
+    factors next to 1, ``"the prior"`` where by more than the power ¾, else ``"both"``. Farther from 1 the widths need not
+    grow with the prior's: a very wide prior on the ratios lets ww go to zero.
 
     Examples
     --------
@@ -103,8 +104,11 @@ def prior_sensitivity(
     plain = found[1.0]
     if plain.width.size == 0:
         raise InputError("No record could be fitted, so there is nothing to compare: see the records' flags.")
-    growth = np.log(np.median(found[every[-1]].width / found[every[0]].width, axis=0))
-    power = growth / np.log(every[-1] / every[0]) if len(every) > 1 else np.full(len(STRESSES), np.nan)
+    # the factors next to 1: far from it the widths need not grow with the prior's
+    below = max((factor for factor in every if factor < 1.0), default=1.0)
+    above = min((factor for factor in every if factor > 1.0), default=1.0)
+    growth = np.log(np.median(found[above].width / found[below].width, axis=0))
+    power = growth / np.log(above / below) if above > below else np.full(len(STRESSES), np.nan)
     words = np.where(power < _DECIDED, "the data", np.where(power > 1.0 - _DECIDED, "the prior", "both"))
     rows = []
     for factor, spread in found.items():

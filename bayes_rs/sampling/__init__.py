@@ -11,27 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs.posterior import Posterior
-from bayes_rs.sampling.chains import Chains
+from bayes_rs.sampling.chains import PARETO_K_LIMIT, Chains
 from bayes_rs.sampling.direct import sample_direct
 from bayes_rs.sampling.ensemble import sample_emcee
 from bayes_rs.sampling.plain import sample_plain
 from bayes_rs.sampling.streams import RecordStreams
 
-_AUTO_EXTENSION = 2
-"""How often ``auto`` doubles the direct draws of a record before it hands it to emcee."""
-
 
 def sample_auto(
     posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
 ) -> Chains:
-    """Draw directly, and sample with emcee the records whose weights are too uneven; `Chains.sampler` says which."""
-    chains = sample_direct(
-        posterior,
-        streams=streams,
-        seed=seed,
-        target_ess=target_ess,
-        max_extension=min(max_extension, _AUTO_EXTENSION),
-    )
+    """Draw directly, and sample with emcee the records for which that does not do; `Chains.sampler` says which.
+
+    A record keeps its direct draws if emcee falls short of the target, too, and the weights can be trusted.
+    """
+    chains = sample_direct(posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
     left = np.flatnonzero(chains.missed(target_ess))
     if len(left):
         again = sample_emcee(
@@ -41,7 +35,8 @@ def sample_auto(
             target_ess=target_ess,
             max_extension=max_extension,
         )
-        chains.put(left, again)
+        better = np.flatnonzero(~again.missed(target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
+        chains.put(left[better], again.take(better))
     return chains
 
 

@@ -66,6 +66,10 @@ class Chains:
             | (self.pareto_k > PARETO_K_LIMIT)
         )
 
+    def take(self, records: NDArray[np.int64]) -> Chains:
+        """Return the draws of some of the records."""
+        return Chains(**{name: getattr(self, name)[records] for name in self.__dataclass_fields__})
+
     def put(self, records: NDArray[np.int64], others: Chains) -> None:
         """Replace the draws of some records."""
         for name in self.__dataclass_fields__:

@@ -61,7 +61,7 @@ def test_posterior_scales_with_the_data(size, sampler):
     np.testing.assert_allclose(shift, 0.0, atol=0.05 * abs(np.log(size)) + 0.1)
 
 
-@pytest.mark.parametrize("size", [1e-8, 1e-4, 1.0, 24.0])
+@pytest.mark.parametrize("size", [1e-3, 1e-2, 1.0, 24.0])
 def test_flat_prior_at_any_size_below_its_bound(size):
     scan = load_scan("6-beam", opening_angle_deg=45.0)
     noise = plain_noise(scan)
@@ -72,6 +72,18 @@ def test_flat_prior_at_any_size_below_its_bound(size):
     assert (draws[..., :3] > 0.0).all()
     assert (draws[..., :3] < 25.0).all()
     assert not (result["sample_stats/flag"].values & FLAGS["short_chain"]).any()
+
+
+def test_flat_prior_nine_decades_above_the_data_says_so():
+    """Its coordinates are made for data within some four decades of its bound; beyond, records are flagged."""
+    scan = load_scan("6-beam", opening_angle_deg=45.0)
+    noise = plain_noise(scan)
+    variance = draw_variances(np.array([[1e-8, 6e-9, 4e-9, 1e-9, -2e-9, 0.0]]), scan, noise, np.random.default_rng(2))
+    result, draws = fitted(records_of(variance, scan), scan, noise, prior=FlatPrior(bound=25.0))
+    assert np.isfinite(draws).all()
+    assert int(result["sample_stats/flag"].values[0]) & FLAGS["short_chain"]
+    _, near = fitted(records_of(variance, scan), scan, noise, prior=FlatPrior(bound=25e-8))
+    assert 3e-9 < np.median(near[0, :, 0]) < 3e-8
 
 
 @pytest.mark.parametrize("condition", [1e2, 1e6, 1e10])
