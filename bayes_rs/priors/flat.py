@@ -42,7 +42,7 @@ class FlatPrior(Prior):
     v₂₂ and v₃₃ over the room that is left have uniform cubes and squares. The coordinates of the diagonal are normal
     scores of these uniform numbers, the others scaled artanh. Against coordinates by variances and correlations, more
     of an independence proposal is accepted: uv and uw are linear in v₂₁ and v₃₁ when uu is known. They serve data
-    within some four decades of the bound; far below that samplers fall short, and say so: give a bound nearer to the data.
+    within some four decades of the bound; far below that samplers fall short, and say so: then give a lower bound.
 
     References
     ----------
