@@ -23,6 +23,7 @@ from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.noise_reading import load_noise
 from bayes_rs.nuisance import Nuisances
 from bayes_rs.output import output_folder, write_run
+from bayes_rs.prior import Prior, make_prior
 from bayes_rs.result import FLAGS, check_result, flag_words, group
 from bayes_rs.scan import Scan
 from bayes_rs.stress import STRESSES
@@ -194,7 +195,7 @@ def run_fit(
         f"{_record_name(result, index)}: {flag_words(flags[index])}"
         for index in np.flatnonzero(flags & FAILURES).tolist()
     ]
-    return Outcome(result, table, len(flags), len(fitted), failures, _words(result, scan, table))
+    return Outcome(result, table, len(flags), len(fitted), failures, _words(result, scan, make_prior(prior), table))
 
 
 def versions() -> dict[str, Any]:
@@ -358,8 +359,8 @@ def _length_scales(records: xr.Dataset, nuisances: Nuisances | None) -> list[flo
     return [float(median.min() * factors.min()), float(median.max() * factors.max())]
 
 
-def _words(result: xr.DataTree, scan: Scan, table: pd.DataFrame) -> list[str]:
-    lines = describe(result.attrs["scan"], result.attrs["sight"], result.attrs["prior"], table)
+def _words(result: xr.DataTree, scan: Scan, prior: Prior, table: pd.DataFrame) -> list[str]:
+    lines = describe(result.attrs["scan"], result.attrs["sight"], prior, table)
     return lines + _least_seen(result, scan)
 
 
@@ -377,11 +378,16 @@ def _least_seen(result: xr.DataTree, scan: Scan) -> list[str]:
     return [f"contraction along what the scan sees least, {which}{how}: {numbers}"]
 
 
-def describe(scan: str, sight: str, prior: str, table: pd.DataFrame) -> list[str]:
+def describe(scan: str, sight: str, prior: Prior, table: pd.DataFrame) -> list[str]:
     """Say what the scan sees, which prior it was, and how much narrower the posterior is than the prior."""
-    lines = [f"scan {scan}: {sight}", f"prior {prior}"]
+    lines = [f"scan {scan}: {sight}", f"prior {prior.in_words()}"]
     rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
     if len(rows):
+        prob = float(rows["prob"].iloc[0])
+        posterior = (rows["hdi_high"] - rows["hdi_low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
+        for whose, widths in (("the prior", prior.interval_widths(prob)), ("the posterior (median record)", posterior)):
+            numbers = ", ".join(f"{name} {width:.3g}" for name, width in zip(STRESSES, widths, strict=True))
+            lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {numbers}")
         middle = rows.groupby("stress")[["contraction", "contraction_shape"]].median().loc[list(STRESSES)]
         for column, meaning in (
             ("contraction", "of the stresses"),

@@ -157,7 +157,7 @@ def run_long_fit(
         campaign.n_record,
         campaign.n_fitted,
         _failures(campaign.folder),
-        describe(scan.name, sight(used).in_words(), make_prior(prior).in_words(), table),
+        describe(scan.name, sight(used).in_words(), make_prior(prior), table),
     )
 
 

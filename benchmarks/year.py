@@ -1,8 +1,8 @@
 """A year of records from variances to summaries: python benchmarks/year.py [--records 52560] [--workers 2].
 
-Records have wind speeds from 4 to 20 m/s, directions within a few degrees, and tensors from the weak prior with a narrower
-size; their variances are drawn from the shipped noise of the scan. Printed are seconds, milliseconds a record, the largest
-memory of the parent and of a worker, and the flags; the year, and parts of it for the scaling.
+Records have wind speeds from 4 to 20 m/s, directions within a few degrees, and tensors from the weak prior with a
+narrower size; their variances are drawn from the shipped noise of the scan. Printed are seconds, milliseconds a record,
+the largest memory of the parent and of a worker, and the flags; the year, and parts of it for the scaling.
 """
 
 import argparse
@@ -49,9 +49,8 @@ def main() -> None:
                     workers=arguments.workers,
                 )
                 seconds = time.perf_counter() - began
-            memory = [
-                resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-            ]
+            people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+            own, worker = (resource.getrusage(who).ru_maxrss / 1024 for who in people)
             flagged = {word: count for word, count in campaign.flags.items() if count}
             print(
                 f"{name}: {campaign.n_record} records, {arguments.workers} workers, {seconds:.1f} s, "

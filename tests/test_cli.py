@@ -214,10 +214,14 @@ class TestFit:
 
     def test_it_says_what_the_scan_sees_what_the_prior_is_and_how_far_the_data_decided(self, finished):
         folder, done = finished
-        sight, prior, contraction, shape, _, _ = done.stdout.splitlines()
+        sight, prior, before, after, contraction, shape, _, _ = done.stdout.splitlines()
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
+        widths = (table["hdi_high"] - table["hdi_low"]).groupby(table["stress"]).median()[list(STRESSES)]
+        for line, wanted in ((before, WeakPrior().interval_widths(0.9)), (after, widths)):
+            listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
+            np.testing.assert_allclose([float(listed[name]) for name in STRESSES], wanted, rtol=0.0051)  # three digits
         for line, column in ((contraction, "contraction"), (shape, "contraction_shape")):
             mean = table.groupby("stress")[column].mean()
             listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
