@@ -38,6 +38,7 @@ DRAWS = ("none", "float32", "float64")
 """What is kept of the draws."""
 PART_RECORDS = 128
 """Records of a part: what is lost at most when a run is interrupted, for each worker."""
+_PER_RECORD = ("acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
 _PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
 
 
@@ -319,7 +320,7 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
     columns: dict[str, NDArray[np.float64]] = {}
     flag = part.flag.copy()
     covariance = np.full((n_record, len(_PAIRS)), np.nan)
-    per_record = {name: np.full(n_record, np.nan) for name in ("acceptance_rate", "n_step", "pareto_k", "misfit")}
+    per_record = {name: np.full(n_record, np.nan) for name in _PER_RECORD}
     sampler = np.full(n_record, "", dtype=object)
     outside = np.zeros(n_record, dtype=np.bool_)
     kept: list[pd.DataFrame] = []
@@ -341,6 +342,7 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
         per_record["n_step"][some] = chains.n_step
         per_record["pareto_k"][some] = chains.pareto_k
         per_record["misfit"][some] = draws.misfit
+        per_record["sonic_clipped"][some] = draws.clipped
         sampler[some] = chains.sampler
         outside[some] = draws.outside
         if shared.draws != "none":

@@ -25,8 +25,10 @@ from bayes_rs import (
     campaign,
     fit,
     fit_campaign,
+    load_scan,
     read_summary,
     summary,
+    theory_noise,
 )
 from bayes_rs.result import FLAGS, group
 
@@ -125,6 +127,14 @@ class TestNumbers:
         np.testing.assert_array_equal(found["sampler"], stats["sampler"].values)
         np.testing.assert_array_equal(found["flag_bits"], stats["flag"].values)
         np.testing.assert_array_equal(found["time"], group(result, "observed_data")["time"].values)
+
+    def test_the_target_sonic_has_the_numbers_of_fit_too(self, tmp_path):
+        scan, flow = load_scan("6-beam"), MannTurbulence(0.05, 61.0, 3.2)
+        noise = theory_noise(scan, flow, wind_speed=10.0, sonic=True)
+        records = make_records(4)
+        options = {"noise": noise, "seed": 3, "target_ess": 200, "target": "sonic"}
+        done = fit_campaign(records, scan, tmp_path / "sonic", **options)
+        same(done.summary(), summary(fit(records, scan, sampler="auto", **options)))
 
     def test_the_covariances_are_those_of_the_draws(self, whole, result):
         found = pd.read_parquet(whole / "posterior")
