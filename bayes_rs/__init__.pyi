@@ -38,6 +38,9 @@ from .noise_choice import noise_for_records as noise_for_records
 from .noise_reading import load_noise as load_noise
 from .noise_store import find_shipped_noise as find_shipped_noise
 from .nuisance import Nuisances as Nuisances
+from .optimizing import ScanOptimum as ScanOptimum
+from .optimizing import optimize_scan as optimize_scan
+from .optimizing import scan_criterion as scan_criterion
 from .planning import Plan as Plan
 from .planning import Step as Step
 from .planning import plan as plan
@@ -61,6 +64,7 @@ from .records import make_records as make_records
 from .result import flag_words as flag_words
 from .scan import Scan as Scan
 from .scan_file import load_scan as load_scan
+from .scan_writing import save_scan as save_scan
 from .stress import STRESSES as STRESSES
 from .stress import is_realizable as is_realizable
 from .stress import pack_stress as pack_stress
@@ -70,6 +74,9 @@ from .stress import unpack_stress as unpack_stress
 from .summarizing import summary as summary
 from .theory import sonic_moments as sonic_moments
 from .theory import theory_noise as theory_noise
+from .trading import enough_beams as enough_beams
+from .trading import trade_off as trade_off
+from .trading_plot import plot_trade_off as plot_trade_off
 from .two_point import cross_spectra as cross_spectra
 from .two_point import velocity_covariance as velocity_covariance
 from .virtual import simulate as simulate

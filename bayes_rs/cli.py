@@ -546,6 +546,40 @@ def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> Non
     click.echo(f"table, figure and JSON in {output}")
 
 
+@commands.command(name="trade-off")
+@click.option("--beams", "n_beams", type=int, default=6, show_default=True, help="Number of beams of the contours.")
+@click.option("--centre/--no-centre", default=True, show_default=True, help="One of them along the axis, or none.")
+@click.option("--angle", "opening_angle_deg", type=float, multiple=True, help="Opening angle, degrees; several.")
+@click.option("--distance", "focus_distance", type=float, multiple=True, help="Focus distance, m; several.")
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option(
+    "--at",
+    type=(float, float),
+    default=(15.0, 98.0),
+    show_default=True,
+    metavar="ANGLE DISTANCE",
+    help="Where numbers of beams and record lengths vary.",
+)
+@click.option("--number", "numbers", type=int, multiple=True, help="Number of beams of the lines; several.")
+@click.option("--record-length", "durations", type=float, multiple=True, help="Record length, s; several.")
+@click.option("--turbulence", default="fu-2022", show_default=True, help="Name or file.")
+@click.option("--prior", default="weak", show_default=True, help="As for fit.")
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option("--scan-duration", type=float, default=1.0, show_default=True, help="Time for all beams once, s.")
+@click.option("--probe-of", metavar="SCAN", help="A scan whose probe volume the beams have; points by default.")
+@click.option("--records", "n_records", type=int, default=32, show_default=True, help="Records for each scene.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
+def trade_off_command(output: Path, overwrite: bool, **options: Any) -> None:
+    """Expected interval widths of beams on a cone: opening angle, focus distance, number of beams, record length."""
+    from bayes_rs.trade_job import run_trade_off
+
+    given = {name: value for name, value in options.items() if value != ()}  # what is not listed has the job's default
+    run_trade_off(output, overwrite=overwrite, say=click.echo, **given)
+    click.echo(f"tables and figure in {output}")
+
+
 @commands.command()
 @click.option("--beams", "n_beams", type=int, required=True, help="Number of beams.")
 @click.option("--max-angle", "max_angle_deg", type=float, help="Largest opening angle, degrees.")
@@ -553,7 +587,13 @@ def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> Non
 @click.option(
     "--focus-distance", type=float, multiple=True, default=(98.0,), show_default=True, help="m; several for planes."
 )
-@click.option("--criterion", type=click.Choice(["width", "variance", "trace"]), default="width", show_default=True)
+@click.option(
+    "--criterion",
+    type=click.Choice(["width", "variance", "trace"]),
+    default="width",
+    show_default=True,
+    help="Interval widths, posterior variance, or least squares under independent noise.",
+)
 @click.option(
     "--turbulence",
     multiple=True,

@@ -151,7 +151,7 @@ def compare(
     silent = None if show_progress is None else not show_progress
     for label, scan, flow in progress(scenes, len(scenes), "comparing", disable=silent):
         noise = theory_noise(scan, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw)
-        truth = _truth(scan, flow, wind_speed, duration, target)
+        truth = truth_of(scan, flow, wind_speed, duration, target)
         seen = sight(scan)
         about = {
             "scan": label,
@@ -169,7 +169,7 @@ def compare(
                 records = _simulated_records(scan, flow, wind_speed, duration, count, seed)
             rows += _classic(records, scan, truth, names, {**about, "data": kind, "n_record": count})
             for one in priors:
-                rows += _posterior(
+                rows += posterior_rows(
                     records, scan, noise, one, target, truth, seed, {**about, "data": kind, "n_record": count}, began
                 )
     table = pd.DataFrame(rows).reindex(columns=list(COLUMNS))
@@ -214,7 +214,7 @@ def scan_of(text: str) -> Scan:
     return load_scan(name, **options)
 
 
-def _truth(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
+def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
     """Return the stresses that the fit aims at, shape (6,)."""
     if target == "ensemble":
         return flow.stresses()
@@ -257,7 +257,7 @@ def _simulated_records(
     return records
 
 
-def _posterior(
+def posterior_rows(
     records: xr.Dataset,
     scan: Scan,
     noise: NoiseModel,

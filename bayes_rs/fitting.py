@@ -219,8 +219,8 @@ def fit_options(
         )
     if uncertain.length_scale_log_sd > 0.0 and likelihood == "gaussian-plugin":
         raise InputError(
-            "The likelihood 'gaussian-plugin' cannot be averaged over the length scale, because its reduced data depend "
-            "on the noise: use another likelihood."
+            "The likelihood 'gaussian-plugin' cannot be averaged over the length scale, because its reduced data "
+            "depend on the noise: use another likelihood."
         )
     return FitOptions(
         prior=chosen,

@@ -67,8 +67,8 @@ def prior_sensitivity(
     Notes
     -----
     A stress is ``"the data"`` where the posterior's width grows by less than the power ¼ of the factor between the
-    factors next to 1, ``"the prior"`` where by more than the power ¾, else ``"both"``. Farther from 1 the widths need not
-    grow with the prior's: a very wide prior on the ratios lets ww go to zero.
+    factors next to 1, ``"the prior"`` where by more than the power ¾, else ``"both"``. Farther from 1 the widths need
+    not grow with the prior's: a very wide prior on the ratios lets ww go to zero.
 
     Examples
     --------

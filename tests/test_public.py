@@ -8,6 +8,13 @@ import sys
 import bayes_rs
 
 PUBLIC = [
+    "ScanOptimum",
+    "optimize_scan",
+    "save_scan",
+    "scan_criterion",
+    "enough_beams",
+    "plot_trade_off",
+    "trade_off",
     "compare",
     "plot_comparison",
     "prior_sensitivity",
