@@ -302,7 +302,8 @@ def draw(table: pd.DataFrame) -> Figure:
         panel.set_xlabel("time a record, ms")
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("error of mean and quantiles, posterior sd")
-    panels[-1].legend(fontsize=8)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     return figure
 
 
