@@ -86,7 +86,7 @@ def test_flat_prior_nine_decades_above_the_data_says_so():
     assert 3e-9 < np.median(near[0, :, 0]) < 3e-8
 
 
-@pytest.mark.parametrize("condition", [1e2, 1e6, 1e10])
+@pytest.mark.parametrize("condition", [1e2, 1e6, 1e10, 1e12, 1e14])
 def test_noise_of_any_condition(condition):
     """Six beams whose errors are nearly one: what they differ in is known ever better, until it is known exactly."""
     scan = load_scan("6-beam", opening_angle_deg=45.0)
@@ -96,7 +96,12 @@ def test_noise_of_any_condition(condition):
     noise = given_noise(scan, (basis * values) @ basis.T)
     stress = np.array([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]])
     variance = draw_variances(stress, scan, noise, np.random.default_rng(3))
-    result, draws = fitted(records_of(variance, scan), scan, noise, max_extension=7)
+    try:
+        result, draws = fitted(records_of(variance, scan), scan, noise, max_extension=7)
+    except NotPositiveDefiniteError as error:
+        assert condition >= 1e12  # noise that is singular to rounding is refused, in words
+        assert "is singular" in str(error)
+        return
     assert np.isfinite(draws).all()
     flag = int(result["sample_stats/flag"].values[0])
     if flag == 0:
