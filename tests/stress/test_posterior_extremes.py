@@ -96,12 +96,7 @@ def test_noise_of_any_condition(condition):
     noise = given_noise(scan, (basis * values) @ basis.T)
     stress = np.array([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]])
     variance = draw_variances(stress, scan, noise, np.random.default_rng(3))
-    try:
-        result, draws = fitted(records_of(variance, scan), scan, noise, max_extension=7)
-    except NotPositiveDefiniteError as error:
-        assert condition >= 1e12  # noise that is singular to rounding is refused, in words
-        assert "is singular" in str(error)
-        return
+    result, draws = fitted(records_of(variance, scan), scan, noise, max_extension=7)
     assert np.isfinite(draws).all()
     flag = int(result["sample_stats/flag"].values[0])
     if flag == 0:
