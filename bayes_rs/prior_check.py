@@ -88,19 +88,20 @@ def prior_sensitivity(
     every = sorted({1.0, *(float(factor) for factor in factors)})
     found = {}
     for factor in every:
+        version = chosen if factor == 1.0 else chosen.widened(factor)
         result = fit(
             records,
             scan,
             noise=noise,
             seed=seed,
-            prior=chosen if factor == 1.0 else chosen.widened(factor),
+            prior=version,
             target=target,
             sampler=sampler,
             nuisances=nuisances,
             instrument_noise=instrument_noise,
             show_progress=show_progress,
         )
-        found[factor] = _Spread(result, prob)
+        found[factor] = _Spread(result, version, prob)
     plain = found[1.0]
     if plain.width.size == 0:
         raise InputError("No record could be fitted, so there is nothing to compare: see the records' flags.")
@@ -133,7 +134,7 @@ def prior_sensitivity(
 class _Spread:
     """Centre and widths of the fitted records of one result, each of shape (n_record, 6)."""
 
-    def __init__(self, result: xr.DataTree, prob: float) -> None:
+    def __init__(self, result: xr.DataTree, version: Prior, prob: float) -> None:
         stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
         flat = stress.reshape(len(stress), -1, len(STRESSES))
         flat = flat[np.isfinite(flat).all(axis=(1, 2))]
@@ -143,6 +144,5 @@ class _Spread:
         self.width: FloatArray = ends[2] - ends[0]
         self.sd: FloatArray = flat.std(axis=1)
         prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
-        low, high = np.quantile(prior, [levels[0], levels[2]], axis=0)
-        self.prior_width: FloatArray = high - low
+        self.prior_width: FloatArray = version.interval_widths(prob)
         self.contraction: FloatArray = 1.0 - self.sd**2 / prior.var(axis=0)
