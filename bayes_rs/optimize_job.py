@@ -162,6 +162,10 @@ def plot_optimum(best: ScanOptimum) -> Figure:
     right.axhline(best.value, color="0.2", linewidth=1.0, label="the best scan, exact")
     right.set_xlabel("start, from best to worst")
     right.set_ylabel(f"criterion {best.criterion!r} (less is better)")
+    low, high = right.get_ylim()
+    if high - low < 1e-3 * abs(best.value):  # starts that agree to rounding must not look like a slope
+        right.set_ylim(best.value - 5e-3 * abs(best.value), best.value + 5e-3 * abs(best.value))
+    right.ticklabel_format(axis="y", useOffset=False)
     right.legend(fontsize=8, frameon=False)
     figure.set_layout_engine("constrained")
     return figure
