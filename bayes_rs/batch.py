@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -147,9 +148,36 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
     draws : RecordDraws
         Bit by bit the same whatever other records are in the batch.
     """
-    quick = not predict and options.target != "sonic" and options.likelihood == "log-normal"
-    if quick and ReducedNoise.suits(noise, batch.used):
-        return _fit_reduced(batch, reduced(cast("NoiseBank", noise)), options)
+    if options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise):
+        # each record by itself decides which way it goes, so that it is the same in any company
+        whole = batch.used.all(axis=1)
+        ways = [(np.flatnonzero(whole), _fit_reduced), (np.flatnonzero(~whole), _fit_whole)]
+        parts = [(rows, way(batch.take(rows), noise, options, predict)) for rows, way in ways if len(rows)]
+        back = np.argsort(np.concatenate([rows for rows, _ in parts]))
+        return join_draws([draws for _, draws in parts], back)
+    return _fit_whole(batch, noise, options, predict)
+
+
+def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = slice(None)) -> RecordDraws:
+    """Put the draws of several batches together, in the order that is given."""
+    chains = Chains(
+        **{
+            name: np.concatenate([getattr(part.chains, name) for part in parts])[order]
+            for name in Chains.__dataclass_fields__
+        }
+    )
+    names = ("predicted", "misfit", "outside", "clipped")
+    return RecordDraws(
+        chains=chains,
+        nuisances={
+            name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances
+        },
+        **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names},
+    )
+
+
+def _fit_whole(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+    """Sample records with the covariances of all their beams."""
     posterior, at_record = make_posterior(batch, noise, options)
     sonic = _sonic_noise(batch, noise, options) if options.target == "sonic" else []
     chains, streams = sample(
@@ -186,8 +214,9 @@ def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, 
     )
 
 
-def _fit_reduced(batch: Batch, noise: ReducedNoise, options: FitOptions) -> RecordDraws:
-    """Sample records of a many-beam scan whose covariances need not be known as a whole."""
+def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+    """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
+    noise = reduced(cast("NoiseBank", bank))
     certain = options.nuisances.instrument_noise_log_sd == 0.0
     factors, weights = options.nuisances.length_scale_nodes()
     parts: list[Likelihood] = []
@@ -213,7 +242,7 @@ def _fit_reduced(batch: Batch, noise: ReducedNoise, options: FitOptions) -> Reco
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, options.instrument_noise)
     posterior = Posterior(likelihood, options.prior, nuisances)
-    chains, _ = sample(
+    chains, streams = sample(
         options.sampler,
         posterior,
         seed=options.seed,
@@ -223,15 +252,19 @@ def _fit_reduced(batch: Batch, noise: ReducedNoise, options: FitOptions) -> Reco
     )
     n_chain, n_draw, k = chains.coordinate.shape[1:]
     some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
-    whole = chains.coordinate.reshape(len(batch), -1, k)
-    values = posterior.nuisance_values(whole)
+    expected = likelihood.expected(*posterior.seen(some))
+    n_beam = batch.variance.shape[1]
+    predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
+    if predict:
+        full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
+        root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
+        predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
+    values = posterior.nuisance_values(chains.coordinate.reshape(len(batch), -1, k))
     return RecordDraws(
         chains,
         {name: value.reshape(len(batch), n_chain, n_draw) for name, value in values.items()},
-        np.empty((len(batch), n_chain, 0, batch.variance.shape[1])),
-        _misfit(
-            likelihood.expected(*posterior.seen(some)), options.nuisances.inflation * at_record.log_variance, batch
-        ),
+        predicted,
+        _misfit(expected, options.nuisances.inflation * at_record.log_variance, batch),
         at_record.outside,
         np.zeros(len(batch)),
     )

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
-from bayes_rs.batch import Batch, FitOptions, RecordDraws, fit_batch
+from bayes_rs.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
 from bayes_rs.errors import InputError
 from bayes_rs.likelihood import LIKELIHOODS
 from bayes_rs.noise import NoiseBank, NoiseModel
@@ -16,7 +16,7 @@ from bayes_rs.prior import Prior, make_prior
 from bayes_rs.progress import progress
 from bayes_rs.result import FLAGS, assemble
 from bayes_rs.sampling import SAMPLERS
-from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT, Chains
+from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.scan import Scan
 
 TARGETS = ("record", "ensemble", "sonic")
@@ -120,7 +120,7 @@ def fit(
         fit_batch(batch.take(chunk), noise, options)
         for chunk in progress(chunks, len(chunks), "sampling", disable=_disable(show_progress))
     ]
-    joined = _joined(draws) if draws else None
+    joined = join_draws(draws) if draws else None
     if joined is not None:
         flag[fitted] |= flags_after(joined, target_ess)
     return assemble(
@@ -271,20 +271,6 @@ def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
         if len(np.unique(starts)) == len(starts):
             return starts
     return np.arange(records.sizes["record"], dtype=np.int64)
-
-
-def _joined(draws: list[RecordDraws]) -> RecordDraws:
-    chains = Chains(
-        **{name: np.concatenate([getattr(part.chains, name) for part in draws]) for name in Chains.__dataclass_fields__}
-    )
-    return RecordDraws(
-        chains,
-        {name: np.concatenate([part.nuisances[name] for part in draws]) for name in draws[0].nuisances},
-        np.concatenate([part.predicted for part in draws]),
-        np.concatenate([part.misfit for part in draws]),
-        np.concatenate([part.outside for part in draws]),
-        np.concatenate([part.clipped for part in draws]),
-    )
 
 
 def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -82,13 +82,12 @@ class ReducedNoise:
         self._bias: FloatArray = np.stack([model.bias for model in bank.models])
 
     @staticmethod
-    def suits(bank: object, used: NDArray[np.bool_]) -> bool:
-        """Tell whether a bank can be reduced for records: many points in a net, and every beam of every record used."""
+    def suits(bank: object) -> bool:
+        """Tell whether a bank can be reduced: that of many points, in a net. Records must use every beam besides."""
         return (
             isinstance(bank, NoiseBank)
             and bank.net is not None
             and bank.n_beam >= LEAST_BEAMS
-            and bool(used.all())
             and float(np.max(np.abs(bank.probe_change(np.arange(len(bank.models)))))) < _POINTS
         )
 

@@ -97,30 +97,39 @@ def test_between_the_states_it_is_as_good_as_the_interpolation():
     assert difference.std() < 0.05
 
 
-def test_the_fit_takes_it_where_no_prediction_is_asked_for():
+@pytest.mark.parametrize("sampler", ["direct", "emcee"])
+def test_draws_are_the_same_with_and_without_predictions(sampler):
+    """A fit in memory predicts and a long campaign does not: their numbers are the same, between the states, too."""
     scan = load_scan("50-beam")
-    batch, bank = batch_of(scan, [10.0, 5.0], [0.0, 0.4]), bank_of(scan)
-    long_way, short = (fit_batch(batch, bank, OPTIONS, predict=predict) for predict in (True, False))
-    assert short.predicted.shape[2] == 0
-    # the same random numbers and, at the states, the same densities: the same draws but where rounding decides
-    close = np.isclose(short.chains.stress, long_way.chains.stress, rtol=1e-4)
-    assert close.mean() > 0.99
-    np.testing.assert_allclose(short.misfit, long_way.misfit, rtol=1e-3)
-    np.testing.assert_array_equal(short.outside, long_way.outside)
+    batch, bank = batch_of(scan, [9.0, 6.0], [0.1, 0.3]), bank_of(scan)
+    options = replace(OPTIONS, sampler=sampler)
+    with_, without = (fit_batch(batch, bank, options, predict=predict) for predict in (True, False))
+    np.testing.assert_array_equal(with_.chains.stress, without.chains.stress)
+    np.testing.assert_array_equal(with_.misfit, without.misfit)
+    assert np.isfinite(with_.predicted).all()
+    assert with_.predicted.shape[-1] == 50
+    assert without.predicted.shape == (*with_.predicted.shape[:-1], 0)
+
+
+def test_a_record_beside_one_that_lacks_a_beam_is_the_record_alone():
+    scan = load_scan("50-beam")
+    batch, bank = batch_of(scan, [8.0, 12.0, 17.0], [0.1, -0.3, 0.2]), bank_of(scan)
+    batch.used[1, 7] = False
+    together = fit_batch(batch, bank, OPTIONS)
+    for record in range(3):
+        alone = fit_batch(batch.take(np.array([record])), bank, OPTIONS)
+        np.testing.assert_array_equal(alone.chains.stress[0], together.chains.stress[record])
+        np.testing.assert_array_equal(alone.predicted[0], together.predicted[record])
+    assert np.isnan(together.predicted[1, ..., 7]).all()
 
 
 def test_what_it_does_not_suit():
     scan = load_scan("50-beam")
     bank = bank_of(scan)
-    used = np.ones((2, 50), dtype=bool)
-    assert ReducedNoise.suits(bank, used)
-    used[1, 3] = False
-    assert not ReducedNoise.suits(bank, used)
-    assert not ReducedNoise.suits(plain_noise(scan), used)
-    small = load_scan("6-beam")
-    assert not ReducedNoise.suits(bank_of(small), np.ones((2, 6), dtype=bool))
-    probed = NoiseBank(tuple(replace(model, gain=0.9 * model.gain) for model in bank.models))
-    assert not ReducedNoise.suits(probed, np.ones((2, 50), dtype=bool))
+    assert ReducedNoise.suits(bank)
+    assert not ReducedNoise.suits(plain_noise(scan))
+    assert not ReducedNoise.suits(bank_of(load_scan("6-beam")))
+    assert not ReducedNoise.suits(NoiseBank(tuple(replace(model, gain=0.9 * model.gain) for model in bank.models)))
 
 
 def test_a_record_alone_is_the_record_in_company():
