@@ -1,0 +1,64 @@
+"""The command line: read, call, write."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from bayes_rs._version import __version__
+from bayes_rs.cli.data_commands import calibrate, demo, plan, records, scans
+from bayes_rs.cli.design_commands import compare_command, optimize, trade_off_command
+from bayes_rs.cli.fit_commands import corner, fit, sensitivity
+
+EXIT_BAD_INPUT = 2
+
+
+def main() -> None:
+    """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
+    from bayes_rs.errors import InputError, MissingExtraError, WorkerError
+
+    try:
+        code = commands.main(prog_name="bayes-rs", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        code = error.exit_code
+    except click.ClickException as error:
+        click.echo(f"bayes-rs: {error.format_message()}", err=True)
+        code = EXIT_BAD_INPUT
+    except click.Abort as error:
+        click.echo("bayes-rs: interrupted.", err=True)
+        _echo_notes(error.__cause__ or error.__context__)
+        code = 130
+    except (InputError, MissingExtraError, WorkerError, OSError) as error:
+        click.echo(f"bayes-rs: {error}", err=True)
+        _echo_notes(error)
+        code = EXIT_BAD_INPUT
+    sys.exit(code)
+
+
+def _echo_notes(error: BaseException | None) -> None:
+    for note in getattr(error, "__notes__", []):
+        click.echo(f"bayes-rs: {note}", err=True)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="bayes-rs")
+def commands() -> None:
+    """Reynolds stresses with credible intervals from Doppler-lidar radial velocities."""
+
+
+for command in (
+    demo,
+    scans,
+    plan,
+    records,
+    calibrate,
+    fit,
+    sensitivity,
+    corner,
+    compare_command,
+    optimize,
+    trade_off_command,
+):
+    commands.add_command(command)

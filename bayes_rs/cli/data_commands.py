@@ -1,0 +1,162 @@
+"""Commands about scans, records and noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bayes_rs.cli.options import (
+    chosen_scan,
+    mounting_options,
+    read_or_make_records,
+    reading_options,
+    record_options,
+    scan_options,
+)
+
+if TYPE_CHECKING:
+    from bayes_rs.noise import NoiseBank, NoiseModel
+
+
+@click.command()
+@click.option("-o", "--output", default="bayes-rs-demo", show_default=True, help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier demo.")
+@click.option("--seed", type=int, default=1, show_default=True)
+def demo(output: str, overwrite: bool, seed: int) -> None:
+    """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
+    from bayes_rs.demo import run_demo
+
+    for line in run_demo(output, seed=seed, overwrite=overwrite):
+        click.echo(line)
+
+
+@click.command()
+def scans() -> None:
+    """List the shipped scans and what each can see of the six stresses."""
+    from bayes_rs.forward import sight
+    from bayes_rs.models import preset_names
+    from bayes_rs.scan_file import load_scan
+
+    click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
+    for name in preset_names("scans"):
+        scan = load_scan(name)
+        seen = sight(scan)
+        click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
+    click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
+    click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@scan_options
+@reading_options
+@record_options
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+    """Make records, one variance a beam and averaging period, from files of radial velocities."""
+    from bayes_rs.output import output_file
+
+    with output_file(output, overwrite=overwrite) as part:
+        made, _ = read_or_make_records(files, options)
+        made.to_netcdf(part, engine="h5netcdf")
+    click.echo(f"{made.sizes['record']} records in {output}")
+
+
+@click.command()
+@click.argument("scan")
+@mounting_options
+@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option(
+    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+)
+@click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
+def plan(
+    scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
+) -> None:
+    """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.planning import plan as make_plan
+
+    made = make_plan(
+        chosen_scan({"scan_name": scan, **scan_options}),
+        load_turbulence(turbulence),
+        wind_speed=wind_speed,
+        duration=duration,
+        prior=prior,
+        target_ess=target_ess,
+    )
+    for line in made.lines():
+        click.echo(line)
+
+
+@click.command()
+@click.argument("scan")
+@mounting_options
+@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
+@click.option(
+    "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
+)
+@click.option(
+    "--noise-yaw",
+    type=float,
+    multiple=True,
+    help="Wind direction relative to the lidar axis, degrees; several make a bank.",
+)
+@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option("--method", default="theory", show_default=True, help="theory or boxes.")
+@click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
+@click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def calibrate(
+    scan: str,
+    turbulence: str,
+    wind_speed: tuple[float, ...],
+    noise_yaw: tuple[float, ...],
+    duration: float,
+    method: str,
+    sonic: bool,
+    n_boxes: int,
+    seed: int,
+    output: Path,
+    overwrite: bool,
+    **scan_options: Any,
+) -> None:
+    """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
+    from bayes_rs.calibration import calibrate as run_calibration
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.output import output_file
+
+    with output_file(output, overwrite=overwrite) as part:
+        noise = run_calibration(
+            chosen_scan({"scan_name": scan, **scan_options}),
+            load_turbulence(turbulence),
+            wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
+            yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
+            duration=duration,
+            method=method,
+            n_boxes=n_boxes,
+            seed=seed,
+            sonic=sonic,
+        )
+        noise.save(part)
+    for line in _noise_lines(noise):
+        click.echo(line)
+    click.echo(f"noise in {output}")
+
+
+def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
+    from bayes_rs.noise import NoiseBank
+
+    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    return [
+        f"wind {model.wind_speed:g} m/s: relative standard deviation of a beam variance "
+        f"{model.relative_error.min():.3f} to {model.relative_error.max():.3f}"
+        for model in models
+    ]

@@ -1,0 +1,239 @@
+"""Commands that fit records and show what came of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bayes_rs.cli.options import (
+    chosen_nuisances,
+    nuisance_options,
+    read_or_make_records,
+    reading_options,
+    record_options,
+    scan_options,
+)
+
+if TYPE_CHECKING:
+    from bayes_rs.job import Outcome
+    from bayes_rs.long_job import LongOutcome
+
+EXIT_FLAGGED = 1
+_JOB_OPTIONS = (
+    "noise_file",
+    "turbulence",
+    "noise_method",
+    "prior",
+    "target",
+    "sampler",
+    "likelihood",
+    "target_ess",
+    "instrument_noise",
+    "prob",
+    "derived",
+    "seed",
+)
+"""Options of `fit` that both kinds of jobs take under the same name."""
+_SENSITIVITY_OPTIONS = (
+    "noise_file",
+    "turbulence",
+    "noise_method",
+    "prior",
+    "factors",
+    "prob",
+    "target",
+    "sampler",
+    "instrument_noise",
+    "seed",
+)
+"""Options of `sensitivity` that its job takes under the same name."""
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@scan_options
+@reading_options
+@record_options
+@click.option(
+    "--noise",
+    "noise_file",
+    type=click.Path(path_type=Path),
+    help="Noise file; by default it is made for the records' wind speeds and directions.",
+)
+@click.option(
+    "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
+)
+@click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
+@click.option(
+    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+)
+@click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
+@click.option(
+    "--sampler",
+    default="emcee",
+    show_default=True,
+    help="emcee, direct, auto or emcee-plain; auto is direct, and emcee for the records where that does not do.",
+)
+@click.option(
+    "--likelihood", default="log-normal", show_default=True, help="log-normal, gamma, gaussian or gaussian-plugin."
+)
+@nuisance_options
+@click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
+@click.option(
+    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
+)
+@click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the credible intervals.")
+@click.option(
+    "--derived", multiple=True, help="More rows in the summary: ti, tke, friction_velocity, anisotropy_2, anisotropy_3."
+)
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option(
+    "--draws",
+    type=click.Choice(["full", "float32", "float64", "none"]),
+    default="full",
+    show_default=True,
+    help="What is kept of the draws. full: the result in one NetCDF file, with figures, for up to 2000 records. "
+    "The others are for any number of records, part by part into Parquet tables.",
+)
+@click.option("--workers", type=int, default=1, show_default=True, help="Processes that share the work; not with full.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run of the same command; not with full.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
+def fit(
+    files: tuple[Path, ...], output: Path, draws: str, workers: int, resume: bool, overwrite: bool, **options: Any
+) -> None:
+    """Estimate the Reynolds stresses of every record, with credible intervals.
+
+    FILES are radial velocities, or records that `bayes-rs records` wrote: of a year, one file a month, say.
+    """
+    from bayes_rs.job import run_fit
+    from bayes_rs.long_job import MOST_FULL, run_long_fit
+    from bayes_rs.output import check_output_folder
+
+    if not resume:
+        check_output_folder(output, overwrite=overwrite)
+    made, scan = read_or_make_records(files, options)
+    common: dict[str, Any] = {
+        **{name: options[name] for name in _JOB_OPTIONS},
+        "nuisances": chosen_nuisances(made, options),
+        "overwrite": overwrite,
+        "say": lambda line: click.echo(line, err=True),
+        "source_files": [file.name for file in files],
+    }
+    n_record = made.sizes["record"]
+    if draws == "full" and n_record > MOST_FULL:
+        click.echo(
+            f"{n_record} records: more than {MOST_FULL}, so no draws and no figures are kept; "
+            "--draws float32 keeps the draws",
+            err=True,
+        )
+        draws = "none"
+    outcome: Outcome | LongOutcome
+    if draws == "full":
+        if resume or workers != 1:
+            raise click.UsageError(
+                f"--resume and --workers are not for --draws full, which up to {MOST_FULL} records have by default: "
+                "add --draws none, float32 or float64."
+            )
+        outcome = run_fit(made, scan, output, **common)
+    else:
+        outcome = run_long_fit(made, scan, output, draws=draws, workers=workers, resume=resume, **common)
+    for line in outcome.words:
+        click.echo(line)
+    click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
+    for line in outcome.failures:
+        click.echo(line, err=True)
+    if outcome.failures:
+        sys.exit(EXIT_FLAGGED)
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@scan_options
+@reading_options
+@record_options
+@click.option(
+    "--noise",
+    "noise_file",
+    type=click.Path(path_type=Path),
+    help="Noise file; by default it is made for the records' wind speeds and directions.",
+)
+@click.option(
+    "--turbulence", default="fu-2022", show_default=True, help="Turbulence of the noise, if no noise file is given."
+)
+@click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
+@click.option("--prior", default="weak", show_default=True, help="The prior whose width is varied, as for fit.")
+@click.option(
+    "--factor",
+    "factors",
+    type=float,
+    multiple=True,
+    default=(0.5, 2.0),
+    show_default=True,
+    help="Factor of all widths of the prior; several are compared.",
+)
+@click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
+@click.option("--sampler", default="auto", show_default=True, help="emcee, direct, auto or emcee-plain.")
+@nuisance_options
+@click.option(
+    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
+)
+@click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the central intervals.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="CSV file to write, with all columns.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, **options: Any) -> None:
+    """Fit the records under narrower and wider priors, and say which stresses the data decided.
+
+    FILES are radial velocities, or one NetCDF file that `bayes-rs records` wrote.
+    """
+    from contextlib import nullcontext
+
+    from bayes_rs.output import output_file
+    from bayes_rs.sensitivity_job import run_sensitivity, sensitivity_lines
+
+    with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
+        made, scan = read_or_make_records(files, options)
+        table = run_sensitivity(
+            made,
+            scan,
+            **{name: options[name] for name in _SENSITIVITY_OPTIONS},
+            nuisances=chosen_nuisances(made, options),
+            say=lambda line: click.echo(line, err=True),
+        )
+        if part is not None:
+            table.to_csv(part, index=False)
+    click.echo(
+        f"Widths of {100.0 * options['prob']:g} % intervals, m² s⁻², medians over the fitted of "
+        f"{made.sizes['record']} records. With the prior's width times a factor:"
+    )
+    click.echo("the posterior's width over its own under the prior itself; near 1, the data decide.")
+    for line in sensitivity_lines(table):
+        click.echo(line)
+    if output is not None:
+        click.echo(f"table in {output}")
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option(
+    "--record", default="0", show_default=True, help="Number of the record, or its start as 2020-09-04T12:00 (UTC)."
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Picture to write; by default corner-RECORD.png in FOLDER."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
+    """Draw the posterior of one record of a fit, with the outline of the prior."""
+    from bayes_rs.job import open_result
+    from bayes_rs.output import output_file
+    from bayes_rs.plots import plot_corner
+
+    figure = plot_corner(open_result(folder), record)
+    picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
+    with output_file(picture, overwrite=overwrite) as part:
+        figure.savefig(part, dpi=130)  # type: ignore[attr-defined]
+    click.echo(str(picture))

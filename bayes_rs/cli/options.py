@@ -1,0 +1,225 @@
+"""Options that several commands share, and what is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayes_rs.nuisance import Nuisances
+    from bayes_rs.scan import Scan
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def _together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
+    """Return one decorator for several options, listed in the order of the help."""
+
+    def decorate(command: _Command) -> _Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+mounting_options = _together(
+    click.option("--opening-angle", "opening_angle_deg", type=float, help="Another half-cone opening angle, degrees."),
+    click.option("--focus-distance", type=float, multiple=True, help="Another focus distance, m; several for planes."),
+    click.option("--tilt", "tilt_deg", type=float, help="Another tilt, degrees; positive raises the beam."),
+    click.option("--yaw", "yaw_deg", type=float, help="Wind direction relative to the lidar axis, degrees."),
+)
+"""How the scan is mounted, if not as its file says."""
+
+
+scan_options = _together(
+    click.option("--scan", "scan_name", required=True, help="A name that `bayes-rs scans` lists, or a TOML file."),
+    mounting_options,
+)
+"""Which scan it is, and how it is mounted."""
+
+
+reading_options = _together(
+    click.option("--format", "file_format", default="auto", show_default=True, help="auto, long, wide or netcdf."),
+    click.option(
+        "--column",
+        "columns",
+        multiple=True,
+        metavar="OURS=THEIRS",
+        help="Name of a column, as radial_velocity=RWS.",
+    ),
+    click.option(
+        "--beam-number",
+        "beam_numbers",
+        multiple=True,
+        metavar="THEIRS=OURS",
+        help="Number of a beam, as LOS2=2.",
+    ),
+    click.option(
+        "--positive", type=click.Choice(["away", "towards"]), help="Sign of the radial velocity in the files."
+    ),
+    click.option("--velocity-unit", type=click.Choice(["m/s", "km/h", "knot"]), help="Unit of the radial velocity."),
+    click.option("--invalid", type=float, multiple=True, help="A number that stands for a missing value."),
+    click.option("--time-zone", help="Zone of times without one, as UTC or +01:00."),
+    click.option("--separator", help="Between the columns of a CSV file."),
+    click.option("--decimal", help="Decimal mark of a CSV file."),
+    click.option("--status-valid", type=float, help="Status of a good sample."),
+    click.option(
+        "--out-of-order",
+        type=click.Choice(["error", "sort"]),
+        default="error",
+        show_default=True,
+        help="What to do when time goes backwards.",
+    ),
+)
+"""How the files are written, as for `bayes_rs.read_radial_velocity`."""
+
+
+record_options = _together(
+    click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s."),
+    click.option(
+        "--min-availability",
+        type=float,
+        default=0.8,
+        show_default=True,
+        help="Least share of the expected samples of a beam.",
+    ),
+    click.option("--cnr-range", type=(float, float), help="Lowest and highest carrier-to-noise ratio, dB."),
+    click.option("--despike", type=click.Choice(["median"]), help="Rule that drops spikes."),
+)
+"""How records are made, as for `bayes_rs.make_records`."""
+
+
+nuisance_options = _together(
+    click.option(
+        "--yaw-sd",
+        type=float,
+        default=0.0,
+        help="Uncertainty of the wind direction, degrees (standard deviation).",
+    ),
+    click.option("--tilt-sd", type=float, default=0.0, help="Uncertainty of the lidar's tilt, degrees."),
+    click.option(
+        "--instrument-noise-sd",
+        type=float,
+        default=0.0,
+        help="Uncertainty of --instrument-noise: standard deviation of its logarithm.",
+    ),
+    click.option(
+        "--length-scale-sd",
+        type=float,
+        default=0.0,
+        help="Uncertainty of the turbulence's length scale: standard deviation of its logarithm.",
+    ),
+    click.option(
+        "--length-scale",
+        type=float,
+        help="Median length scale, m, with --length-scale-sd; by default the records' own, or that of --turbulence.",
+    ),
+    click.option(
+        "--inflation", type=float, default=1.0, help="Factor of the noise's covariance, for less Gaussian flow."
+    ),
+    click.option(
+        "--inflation-dof",
+        type=float,
+        default=float("inf"),
+        help="Degrees of freedom of an uncertain factor; by default it is certain.",
+    ),
+)
+"""What is uncertain beside R, as in `bayes_rs.Nuisances`."""
+
+
+def chosen_scan(options: dict[str, Any]) -> Scan:
+    """Load the scan that the options name, mounted as they say."""
+    from bayes_rs.scan_file import load_scan
+
+    distances = options["focus_distance"]
+    return load_scan(
+        options["scan_name"],
+        opening_angle_deg=options["opening_angle_deg"],
+        focus_distance=list(distances) if distances else None,
+        tilt_deg=options["tilt_deg"],
+        yaw_deg=options["yaw_deg"],
+    )
+
+
+def chosen_nuisances(records: xr.Dataset, options: dict[str, Any]) -> Nuisances:
+    """Return what the options say is uncertain beside R."""
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.nuisance import Nuisances
+
+    length_scale = options["length_scale"]
+    if length_scale is not None and not options["length_scale_sd"] > 0.0:
+        raise click.UsageError(
+            "--length-scale is only used with --length-scale-sd: give both, or another --turbulence."
+        )
+    made_here = options["noise_file"] is None and "length_scale" not in records
+    if options["length_scale_sd"] > 0.0 and length_scale is None and made_here:
+        length_scale = load_turbulence(options["turbulence"]).length_scale
+    return Nuisances(
+        yaw_sd_deg=options["yaw_sd"],
+        tilt_sd_deg=options["tilt_sd"],
+        instrument_noise_log_sd=options["instrument_noise_sd"],
+        length_scale_log_sd=options["length_scale_sd"],
+        length_scale=length_scale,
+        inflation=options["inflation"],
+        inflation_dof=options["inflation_dof"],
+    )
+
+
+def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Any, Scan]:
+    """Read files and make records, or read records; say on stderr what was read and dropped."""
+    from bayes_rs.job import open_record_files
+    from bayes_rs.readers import read_radial_velocity
+    from bayes_rs.records import describe_report, make_records
+
+    scan = chosen_scan(options)
+    if (made := open_record_files(files, scan)) is not None:
+        return made, scan
+    series = read_radial_velocity(
+        list(files),
+        scan,
+        file_format=options["file_format"],
+        columns=_pairs(options["columns"], "--column") or None,
+        beam_numbers={theirs: _whole(ours) for theirs, ours in _pairs(options["beam_numbers"], "--beam-number").items()}
+        or None,
+        positive=options["positive"],
+        velocity_unit=options["velocity_unit"],
+        invalid=list(options["invalid"]) or None,
+        time_zone=options["time_zone"],
+        separator=options["separator"],
+        decimal=options["decimal"],
+        status_valid=options["status_valid"],
+        out_of_order=options["out_of_order"],
+    )
+    made = make_records(
+        series,
+        scan,
+        duration=options["duration"],
+        min_availability=options["min_availability"],
+        cnr_range=options["cnr_range"],
+        despike=options["despike"],
+    )
+    for line in describe_report(made):
+        click.echo(line, err=True)
+    return made, scan
+
+
+def _pairs(texts: tuple[str, ...], option: str) -> dict[str, str]:
+    for text in texts:
+        if "=" not in text:
+            raise click.UsageError(f"{option} {text!r}: write it as NAME=NAME.")
+    return dict(text.split("=", 1) for text in texts)
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise click.UsageError(
+            f"--beam-number: {text!r} must be a whole number, the beam's number in the scan."
+        ) from error
