@@ -99,8 +99,10 @@ def summary_lines(best: ScanOptimum) -> list[str]:
         outside = " (outside the limits)" if name in best.outside else ""
         words = f"{value:.5g}" if np.isfinite(value) else "inf"
         lines.append(f"  {words:<7}  {name}{more}{outside}")
+    if len(best.by_number) > 1:
+        lines.append("beams: " + ", ".join(f"{number} {value:.5g}" for number, value in best.by_number.items()))
     if len(best.by_state) > 1:
-        lines.append("in each turbulence: " + ", ".join(f"{name} {value:.5g}" for name, value in best.by_state.items()))
+        lines.append("in each state: " + ", ".join(f"{name} {value:.5g}" for name, value in best.by_state.items()))
     if best.widths:
         lines.append("90 % widths over uu: " + ", ".join(f"{name} {value:.3g}" for name, value in best.widths.items()))
     lines.append(f"{'beam':<6}{'opening angle':>14}{'theta':>9}{'time':>9}")

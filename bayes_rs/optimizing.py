@@ -74,6 +74,8 @@ class ScanOptimum:
         How long it took.
     widths : dict of str to float
         Expected widths of the stresses' 90 % intervals over uu, the largest over the states; none for ``"trace"``.
+    by_number : dict of int to float
+        Criterion of the best scan of each number of beams, where several were tried.
     details : dict
         What was asked for.
     """
@@ -91,6 +93,7 @@ class ScanOptimum:
     n_exact: int
     seconds: float
     widths: dict[str, float] = field(default_factory=dict)
+    by_number: dict[int, float] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -116,6 +119,7 @@ class ScanOptimum:
             "value": self.value,
             "by_state": self.by_state,
             "widths_over_uu": self.widths,
+            "by_number": {str(number): value for number, value in self.by_number.items()},
             "beams": [
                 {"opening_angle_deg": opening, "phase_deg": phase} for opening, phase in self.angles_deg.tolist()
             ],
@@ -134,7 +138,7 @@ class ScanOptimum:
 
 def optimize_scan(
     *,
-    n_beams: int,
+    n_beams: int | Sequence[int],
     focus_distance: float | Sequence[float] = 98.0,
     max_angle_deg: float | None = None,
     rotor_radius: float | None = None,
@@ -142,7 +146,9 @@ def optimize_scan(
     turbulence: str | MannTurbulence | Sequence[str | MannTurbulence] | None = None,
     wind_speed: float = 10.0,
     duration: float = 600.0,
+    yaw_deg: float | Sequence[float] | None = None,
     scan_duration: float = 1.0,
+    dwell: float | None = None,
     prior: str | Prior = "weak",
     stresses: Sequence[str] | None = None,
     weights: Sequence[float] | None = None,
@@ -163,8 +169,8 @@ def optimize_scan(
 
     Parameters
     ----------
-    n_beams : int
-        Number of beams.
+    n_beams : int or sequence of int
+        Number of beams; of several, the best is kept, and `by_number` has the others.
     focus_distance : float or sequence of float
         Focus distance, m; of several, all beams measure at each.
     max_angle_deg : float, optional
@@ -181,8 +187,13 @@ def optimize_scan(
         Mean wind speed, m/s.
     duration : float
         Length of a record, s.
+    yaw_deg : float or sequence of float, optional
+        Wind direction relative to the lidar axis, degrees; of several, the worst case counts. 0 if not given.
     scan_duration : float
         Time for one scan of all beams (and planes), s, which they share equally.
+    dwell : float, optional
+        Time that the lidar takes for one beam, s: then a scan takes that for every beam, and with more beams each is
+        visited less often. It replaces `scan_duration`.
     prior : str or Prior
         The prior.
     stresses : sequence of str, optional
@@ -258,6 +269,9 @@ def optimize_scan(
     >>> round(best.value, 6)
     12.6
     """
+    if not isinstance(n_beams, (int, np.integer)):
+        options = {name: value for name, value in locals().items() if name != "n_beams"}
+        return _best_number(n_beams, options)
     began = time.perf_counter()
     check_count(n_beams, what="n_beams")
     check_count(n_starts, what="n_starts")
@@ -275,6 +289,7 @@ def optimize_scan(
         prior=prior,
         stresses=stresses,
         weights=weights,
+        yaw_deg=yaw_deg,
     )
     limits = ScanLimits(
         n_beams=n_beams,
@@ -293,6 +308,9 @@ def optimize_scan(
             f"{np.rad2deg(limits.max_angle):.4g} degrees off the axis cannot be so far apart; give a smaller one."
         )
     shapes = _shapes(limits, cones, centre, criterion)
+    if dwell is not None:
+        visits = n_beams * (len(distances) if planes == "sequential" else 1)
+        scan_duration = visits * check_positive(dwell, what="dwell", unit="s")
     frame = _frame(n_beams, distances, scan_duration, planes, limits, probe)
     search = _Search(scale, frame, len(distances))
     per_shape = [n_starts // len(shapes) + (index < n_starts % len(shapes)) for index in range(len(shapes))]
@@ -356,10 +374,27 @@ def optimize_scan(
             "probe": frame.probe.parameters(),
             "planes": planes,
             "scan_duration": scan_duration,
+            "dwell": dwell,
             "n_starts": n_starts,
             "seed": None if isinstance(seed, np.random.Generator) else int(seed),
             **_scene_details(scale),
         },
+    )
+
+
+def _best_number(numbers: Sequence[int], options: dict[str, Any]) -> ScanOptimum:
+    """Return the best scan over several numbers of beams; each is searched from the same seed."""
+    tried = sorted({int(check_count(number, what="n_beams")) for number in numbers})
+    if not tried:
+        raise InputError("Invalid n_beams []: give at least one number of beams.")
+    if isinstance(options["seed"], np.random.Generator):
+        options["seed"] = int(options["seed"].integers(0, 2**63))
+    found = {number: optimize_scan(n_beams=number, **options) for number in tried}
+    best = min(found.values(), key=lambda one: one.value)
+    return replace(
+        best,
+        by_number={number: one.value for number, one in found.items()},
+        seconds=sum(one.seconds for one in found.values()),
     )
 
 
@@ -373,6 +408,7 @@ def scan_criterion(
     prior: str | Prior = "weak",
     stresses: Sequence[str] | None = None,
     weights: Sequence[float] | None = None,
+    yaw_deg: float | Sequence[float] | None = None,
 ) -> float:
     """Return the criterion of a scan, exactly as `optimize_scan` would report it.
 
@@ -382,6 +418,8 @@ def scan_criterion(
         Any scan.
     criterion, turbulence, wind_speed, duration, prior, stresses, weights
         As for `optimize_scan`.
+    yaw_deg : float or sequence of float, optional
+        Wind directions relative to the lidar axis, degrees; the scan's own yaw if not given.
 
     Returns
     -------
@@ -407,6 +445,7 @@ def scan_criterion(
         prior=prior,
         stresses=stresses,
         weights=weights,
+        yaw_deg=yaw_deg,
     )
     return float(np.max(scale.exact(scan)))
 

@@ -16,6 +16,7 @@ from bayes_rs._validation import FloatArray, check_array, check_choice, check_po
 from bayes_rs.errors import InputError
 from bayes_rs.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.mann import MannTurbulence, load_turbulence
+from bayes_rs.noise import NoiseModel
 from bayes_rs.prior import Prior, make_prior
 from bayes_rs.probe import PointProbe
 from bayes_rs.scan import Scan, tilt_matrix, yaw_matrix
@@ -30,7 +31,7 @@ TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 _PROB = 0.9
 _TOLERANCE = 1e-4
 _FINEST = 0.1  # of L: distances along the wind closer than this are interpolated
-_DEPTH = 0.3  # of the focus distance: how much farther ahead a beam on the axis measures than one 45 degrees off it
+_WIDEST = np.arccos(0.7)  # rad off the axis, up to which the lags resolve how far apart two beams are along the wind
 _GROWTH = 1.2  # of the spacing of lags, from one to the next
 _DEGREE = 6  # of the polynomial that a probe's gains are fitted by
 _N_FITTED = 120  # directions at which they are calculated
@@ -114,9 +115,11 @@ class PosteriorCriterion(ScanCriterion):
     name : str
         ``"width"`` or ``"variance"``.
     turbulence : sequence of MannTurbulence
-        The states.
+        The turbulences; with each of the wind directions they are the states.
     wind_speed, duration : float
         m/s and s.
+    yaw : sequence of float, optional
+        Wind directions relative to the lidar axis, rad; the scan's own yaw if not given.
     prior : str or Prior
         The prior.
     weights : ndarray, shape (6,)
@@ -143,37 +146,39 @@ class PosteriorCriterion(ScanCriterion):
         duration: float,
         prior: str | Prior,
         weights: FloatArray,
+        yaw: Sequence[float] | None = None,
     ) -> None:
         self.name = name
-        self.turbulence = tuple(turbulence)
-        self.states = _labels(self.turbulence)
+        directions: list[float | None] = [None] if yaw is None else list(yaw)
+        self.turbulence = tuple(flow for flow in turbulence for _ in directions)
+        self.yaw = tuple(directions) * len(turbulence)
+        self.states = _labels(turbulence, directions)
         self.wind_speed = check_positive(wind_speed, what="wind_speed", unit="m/s")
         self.duration = check_positive(duration, what="duration", unit="s")
         self.weights = weights
         self.prior = make_prior(prior)
-        self._before = [local_prior_covariance(self.prior, flow) for flow in self.turbulence]
+        self._before = [local_prior_covariance(self.prior, flow) for flow in turbulence for _ in directions]
         self._fast: dict[tuple[Any, ...], _FastNoise] = {}
         self._gains: dict[tuple[Any, ...], _FastGain] = {}
 
     def exact(self, scan: Scan) -> FloatArray:
         """Return the value of each state from `theory_noise`, shape (n_state,)."""
-        values = np.empty(len(self.turbulence))
-        for index, flow in enumerate(self.turbulence):
-            noise = theory_noise(scan, flow, wind_speed=self.wind_speed, duration=self.duration)
-            values[index] = self._value(index, noise.gain, noise.covariance)
-        return values
+        noises = [self._noise(scan, index) for index in range(len(self.states))]
+        return np.array([self._value(index, noise.gain, noise.covariance) for index, noise in enumerate(noises)])
 
     def fast(self, direction: FloatArray, like: Scan) -> FloatArray:
         """Return values, shape (n, n_state), with covariances at points and at few lags; see `_FastNoise`.
 
         A probe volume counts in the gain only, not in the covariance.
         """
-        line_of_sight = direction @ tilt_matrix(like.tilt) @ yaw_matrix(like.yaw)
-        values = np.empty((len(direction), len(self.turbulence)))
-        for index, flow in enumerate(self.turbulence):
-            key = (index, like.probe, like.scan_duration, *like.focus_distance, *like.beam_time)
+        level = direction @ tilt_matrix(like.tilt)
+        values = np.empty((len(direction), len(self.states)))
+        for index, (flow, own) in enumerate(zip(self.turbulence, self.yaw, strict=True)):
+            yaw = like.yaw if own is None else own
+            line_of_sight = level @ yaw_matrix(yaw)
+            key = (index, yaw, like.probe, like.scan_duration, *like.focus_distance, *like.beam_time)
             if key not in self._fast:
-                self._fast[key] = _FastNoise(like, flow, self.wind_speed, self.duration)
+                self._fast[key] = _FastNoise(like.with_yaw(yaw), flow, self.wind_speed, self.duration)
                 if not isinstance(like.probe, PointProbe):
                     self._gains[key] = _FastGain(like, flow)
             noise = self._fast[key]
@@ -187,9 +192,8 @@ class PosteriorCriterion(ScanCriterion):
         """Return the expected 90 % widths of the six stresses, shape (n_state, 6), m² s⁻²."""
         found = []
         for index, flow in enumerate(self.turbulence):
-            noise = theory_noise(scan, flow, wind_speed=self.wind_speed, duration=self.duration)
-            stress = flow.stresses()
-            found.append(_widths(self._posterior(index, noise.gain, noise.covariance), stress))
+            noise = self._noise(scan, index)
+            found.append(_widths(self._posterior(index, noise.gain, noise.covariance), flow.stresses()))
         return np.array(found)
 
     def in_words(self) -> str:
@@ -202,6 +206,11 @@ class PosteriorCriterion(ScanCriterion):
             f"width: expected width of the 90 % interval over uu, {'mean' if equal else 'weighted mean'} of "
             f"{', '.join(chosen)}"
         )
+
+    def _noise(self, scan: Scan, index: int) -> NoiseModel:
+        yaw = self.yaw[index]
+        turned = scan if yaw is None else scan.with_yaw(yaw)
+        return theory_noise(turned, self.turbulence[index], wind_speed=self.wind_speed, duration=self.duration)
 
     def _posterior(self, index: int, gain: FloatArray, covariance: FloatArray) -> FloatArray:
         """Return C, shape (..., 6, 6), m⁴ s⁻⁴."""
@@ -285,7 +294,8 @@ class _FastNoise:
         n = int(np.ceil(duration / like.scan_duration - 1e-9))
         finest = max(1.0, np.floor(_FINEST * flow.length_scale / self.step))
         # how far from lag 0 a covariance can have its peak: focus distances and sampling times differ
-        reach = np.ptp(self.focus) + _DEPTH * np.max(self.focus) + wind_speed * np.ptp(self.time)
+        depth = 1.0 - np.cos(min(_WIDEST + abs(like.yaw), np.pi))
+        reach = np.ptp(self.focus) + depth * np.max(self.focus) + wind_speed * np.ptp(self.time)
         lags = [finest * k for k in range(int(np.ceil(reach / self.step / finest)) + 3)]
         while lags[-1] < n - 1:
             lags.append(max(lags[-1] + finest, np.floor(lags[-1] * _GROWTH)))
@@ -368,6 +378,7 @@ def make_criterion(
     prior: str | Prior = "weak",
     stresses: Sequence[str] | None = None,
     weights: Sequence[float] | None = None,
+    yaw_deg: float | Sequence[float] | None = None,
 ) -> ScanCriterion:
     """Return the criterion that a name means; parameters as in `optimize_scan`.
 
@@ -394,6 +405,7 @@ def make_criterion(
         duration=duration,
         prior=prior,
         weights=_stress_weights(stresses, weights),
+        yaw=None if yaw_deg is None else _radians(yaw_deg),
     )
 
 
@@ -412,9 +424,20 @@ def _stress_weights(stresses: Sequence[str] | None, weights: Sequence[float] | N
     return full / np.sum(values)
 
 
-def _labels(flows: Sequence[MannTurbulence]) -> tuple[str, ...]:
+def _radians(yaw_deg: float | Sequence[float]) -> list[float]:
+    degrees = check_array(np.atleast_1d(np.asarray(yaw_deg, dtype=np.float64)), (None,), what="yaw_deg")
+    if len(degrees) == 0 or np.any(np.abs(degrees) > 180.0):
+        raise InputError(
+            f"Invalid yaw_deg {degrees.tolist()}: give at least one direction, each from -180 to 180 degrees."
+        )
+    return [float(angle) for angle in np.deg2rad(degrees)]
+
+
+def _labels(flows: Sequence[MannTurbulence], yaw: Sequence[float | None]) -> tuple[str, ...]:
     """Return a name for each state, all different."""
     names = [
         f"L={flow.length_scale:g}, gamma={flow.gamma:g}" if flow.name == "unnamed" else flow.name for flow in flows
     ]
-    return tuple(name if names.count(name) == 1 else f"{name} ({index + 1})" for index, name in enumerate(names))
+    names = [name if names.count(name) == 1 else f"{name} ({index + 1})" for index, name in enumerate(names)]
+    turned = [*("" if own is None else f", yaw {np.rad2deg(own):g}°" for own in yaw)]
+    return tuple(name + words for name in names for words in turned)

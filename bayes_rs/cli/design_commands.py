@@ -75,7 +75,9 @@ def trade_off_command(output: Path, overwrite: bool, **options: Any) -> None:
 
 
 @click.command()
-@click.option("--beams", "n_beams", type=int, required=True, help="Number of beams.")
+@click.option(
+    "--beams", "n_beams", type=int, multiple=True, required=True, help="Number of beams; of several, the best is kept."
+)
 @click.option("--max-angle", "max_angle_deg", type=float, help="Largest opening angle, degrees.")
 @click.option("--rotor-radius", type=float, help="Largest distance of a measured point from the axis, m.")
 @click.option(
@@ -100,7 +102,15 @@ def trade_off_command(output: Path, overwrite: bool, **options: Any) -> None:
 @click.option("--prior", default="weak", show_default=True, help="As for fit.")
 @click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
+@click.option(
+    "--yaw",
+    "yaw_deg",
+    type=float,
+    multiple=True,
+    help="Wind direction relative to the lidar axis, degrees, 0 by default; of several, the worst case counts.",
+)
 @click.option("--scan-duration", type=float, default=1.0, show_default=True, help="Time for all beams once, s.")
+@click.option("--dwell", type=float, help="Time for one beam, s, in place of --scan-duration.")
 @click.option("--planes", default="simultaneous", show_default=True, help="simultaneous or sequential.")
 @click.option("--cones", type=int, help="How many opening angles the beams share; each its own by default.")
 @click.option("--centre/--no-centre", default=None, help="Hold one beam on the axis, or none.")
@@ -120,6 +130,9 @@ def optimize(output: Path, overwrite: bool, **options: Any) -> None:
     """Choose the directions of a scan's beams, within limits, so that they tell most about R."""
     from bayes_rs.optimize_job import run_optimize
 
-    options["stresses"], options["weights"] = options["stresses"] or None, options["weights"] or None
+    for name in ("stresses", "weights", "yaw_deg"):
+        options[name] = options[name] or None
+    if len(options["n_beams"]) == 1:
+        (options["n_beams"],) = options["n_beams"]
     run_optimize(output, overwrite=overwrite, say=click.echo, **options)
     click.echo(f"scan, numbers and picture in {output}")
