@@ -248,7 +248,7 @@ class TestRefusals:
             summary(result, prob=prob)
 
     def test_a_derived_quantity_that_is_not_known(self, result):
-        message = r"Unknown derived quantity 'mood': it must be one of ti, tke, friction_velocity, anisotropy_2, anis"
+        message = r"Unknown derived quantity 'mood': it must be one of ti, ti_v, ti_w, tke, friction_velocity, anis"
         with pytest.raises(InputError, match=message):
             summary(result, derived=["tke", "mood"])
 

@@ -87,7 +87,10 @@ _SENSITIVITY_OPTIONS = (
 )
 @click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the credible intervals.")
 @click.option(
-    "--derived", multiple=True, help="More rows in the summary: ti, tke, friction_velocity, anisotropy_2, anisotropy_3."
+    "--derived",
+    multiple=True,
+    help="More rows in the summary: ti, ti_v, ti_w, tke, friction_velocity, correlation_uv, correlation_uw, "
+    "correlation_vw, anisotropy_2, anisotropy_3, lumley_xi, lumley_eta.",
 )
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option(
