@@ -9,7 +9,9 @@ BIN := $(VENV)/bin
 ENV := PYTHONNOUSERSITE=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-long check notebooks data noise clean
+SECONDS ?= 3600
+
+.PHONY: demo test test-long stress check notebooks data noise clean
 
 demo: $(VENV)/installed
 	$(ENV) $(BIN)/bayes-rs demo --overwrite
@@ -19,6 +21,10 @@ test: $(VENV)/installed-test
 
 test-long: $(VENV)/installed-test
 	$(ENV) $(BIN)/python -m pytest -n 2 -m long $(PYTEST_OPTIONS)
+
+# random cases against references and laws, for as long as told
+stress: $(VENV)/installed-test
+	$(ENV) $(BIN)/python tests/stress/long_run.py --seconds $(SECONDS)
 
 check: $(VENV)/installed-check
 	$(BIN)/ruff check .
