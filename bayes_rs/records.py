@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,29 +14,33 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_count, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.quality import IntArray, QualityRules, usable
+from bayes_rs.quality import Filtered, IntArray, QualityRules, apply_filters, group_moments
+from bayes_rs.record_checks import blades_in, check_records, in_wind_sectors
+from bayes_rs.record_report import describe_report
+from bayes_rs.record_samples import SortedSamples, sort_samples
 from bayes_rs.scan import Scan
+from bayes_rs.wind.least_squares import horizontal_wind
 
-BEAM_FLAGS = {"too_few_samples": 1, "constant": 2, "all_missing": 4, "no_samples": 8}
+__all__ = ["BEAM_FLAGS", "RECORD_FLAGS", "REMARK_FLAGS", "describe_report", "make_records"]
+
+BEAM_FLAGS = {
+    "too_few_samples": 1,
+    "constant": 2,
+    "all_missing": 4,
+    "no_samples": 8,
+    "wind_sector": 16,
+    "record_excluded": 32,
+}
 RECORD_FLAGS = {"yaw_not_seen": 1, "wind_not_seen": 2, "beam_flagged": 4, "no_usable_beam": 8}
+"""Flags of a record that the wind and its beams decide."""
+REMARK_FLAGS = {"not_stationary": 16, "low_wind": 32}
+"""Flags of a record that are remarks: it is fitted, unless the rules exclude it."""
 
 _DAY = 86_400_000_000_000  # ns
 _MOST_ENTRIES = 100_000_000
-_RANK_TOLERANCE = 1e-6  # of the largest singular value; beams closer than this cannot tell wind directions apart
-
-
-@dataclass(frozen=True)
-class _Samples:
-    """The samples of a series beam after beam, each in time's order, none twice."""
-
-    time: IntArray
-    beam: IntArray
-    velocity: FloatArray
-    cnr: FloatArray | None
-    status: FloatArray | None
-    numbers: IntArray
-    out_of_order: int
-    duplicates: int
+_DESPIKE = ("despike", "despike_window", "despike_threshold")
+_RARELY = 0.5
+"""A beam that is flagged in more than this share of the records with samples is reported as rarely usable."""
 
 
 def make_records(
@@ -51,6 +55,7 @@ def make_records(
     despike: str | None = None,
     despike_window: int = 11,
     despike_threshold: float = 5.0,
+    quality: QualityRules | None = None,
 ) -> xr.Dataset:
     r"""Turn radial velocities into records: the variance of each beam in each averaging period.
 
@@ -79,6 +84,8 @@ def make_records(
         Samples in the running median, odd.
     despike_threshold : float
         Robust standard deviations from the running median beyond which a sample is a spike.
+    quality : QualityRules, optional
+        All rules in one object: these four and many more. Then the four options above must not be given.
 
     Returns
     -------
@@ -89,6 +96,8 @@ def make_records(
         ``beam``: those of the scan's beams that the series holds; the others stand in ``attrs["beams_absent"]``.
         Every window from the first to the last sample is there, even if empty. ``flag`` is zero for a beam to be used;
         a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON what was dropped.
+        Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio``
+        (record, beam).
 
     Raises
     ------
@@ -114,8 +123,11 @@ def make_records(
     is filled or interpolated, no trend is removed.
 
     Flags of a beam (bits): 1 ``too_few_samples``; 2 ``constant``, all samples equal; 4 ``all_missing``, samples but
-    none usable; 8 ``no_samples``, a gap. Flags of a record: 1 ``yaw_not_seen``; 2 ``wind_not_seen``, wind speed and
-    yaw are NaN; 4 ``beam_flagged``, at least one; 8 ``no_usable_beam``.
+    none usable; 8 ``no_samples``, a gap; 16 ``wind_sector``, blocked in wind from there; 32 ``record_excluded``, by
+    its remarks. Flags of a record: 1 ``yaw_not_seen``; 2 ``wind_not_seen``, wind speed and yaw are NaN; 4
+    ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as remarks 16 ``not_stationary``; 32 ``low_wind``.
+    Whether a beam stands in a blocked wind sector is decided by the wind of all unflagged beams; the wind is then
+    found again without it.
 
     Examples
     --------
@@ -139,21 +151,20 @@ def make_records(
     if not 0.0 <= share <= 1.0:
         raise InputError(f"Invalid min_availability {min_availability!r}: it must be from 0 to 1.")
     needed = max(check_count(min_count, what="min_count"), share * expected)
-    samples = _sorted_samples(series, scan)
-    if cnr_range is not None and samples.cnr is None:
-        raise InputError(
-            f"Invalid cnr_range {cnr_range!r} dB: the series has no cnr; map it with the option columns when reading, "
-            "or leave cnr_range out."
-        )
-    rules = QualityRules(series.attrs.get("status_valid"), cnr_range, despike, despike_window, despike_threshold)
+    rules = _rules(quality, cnr_range, despike, despike_window, despike_threshold)
+    _check_named_beams(rules, scan)
+    came = sort_samples(series, scan, rules.needed_columns())
+    if rules.status_valid is None and series.attrs.get("status_valid") is not None:
+        rules = replace(rules, status_valid=float(series.attrs["status_valid"]))
 
-    first = int(samples.time.min()) // window
-    n_record, n_beam = int(samples.time.max()) // window - first + 1, len(samples.numbers)
-    _check_size(n_record, n_beam, samples.time, duration)
-    group = samples.beam * n_record + samples.time // window - first
-    keep, dropped = usable(samples.velocity, samples.beam, group, cnr=samples.cnr, status=samples.status, rules=rules)
-    given = np.bincount(group, minlength=n_record * n_beam)
-    count, mean, variance, constant = _moments(samples.velocity[keep], group[keep], n_record * n_beam)
+    number = came.time // window
+    n_record, n_beam = int(number.max() - number.min()) + 1, len(came.numbers)
+    _check_size(n_record, n_beam, came.time, duration)
+    samples, first = came.in_records(window)
+    filtered = apply_filters(samples, rules)
+    keep = filtered.keep
+    given = np.bincount(samples.group, minlength=samples.n_group)
+    count, mean, variance, constant = group_moments(samples.velocity[keep], samples.group[keep], samples.n_group)
     flag = (
         BEAM_FLAGS["too_few_samples"] * (count < needed - 1e-9)
         + BEAM_FLAGS["constant"] * constant
@@ -165,30 +176,36 @@ def make_records(
         for name, values in {"variance": variance, "mean": mean, "count": count, "flag": flag}.items()
     }
     start = ((first + np.arange(n_record)) * window).astype("datetime64[ns]")
-    wind = _mean_wind(table["mean"], table["flag"] == 0, scan.select(samples.numbers))
-    absent = [number for number in scan.beam.tolist() if number not in samples.numbers]
+
+    def with_wind() -> xr.Dataset:
+        wind = _mean_wind(table["mean"], table["flag"] == 0, scan.select(samples.numbers))
+        return _dataset(table, wind, start, samples.numbers, scan)
+
+    records = with_wind()
+    if rules.wind_sectors:
+        blocked = in_wind_sectors(records["yaw"].values, samples.numbers, rules)
+        table["flag"][blocked] |= BEAM_FLAGS["wind_sector"]
+        records = with_wind()
+    remarks = check_records(
+        samples, keep, rules, window=window, used=table["flag"] == 0, wind_speed=records["wind_speed"].values
+    )
+    records = records.assign(remarks.variables)
+    for name, rows in remarks.records.items():
+        records["record_flag"].values[rows] |= REMARK_FLAGS[name]
+        if name in rules.exclude:
+            records["flag"].values[rows] |= BEAM_FLAGS["record_excluded"]
     report = {
-        "samples": int(series.sizes["sample"]),
-        "samples_out_of_order": samples.out_of_order,
-        "duplicates_dropped": samples.duplicates,
-        "dropped": dropped,
-        "samples_used": int(keep.sum()),
-        "records": n_record,
-        "records_without_samples": int((table["flag"] & BEAM_FLAGS["no_samples"] > 0).all(axis=1).sum()),
-        "beams_never_usable": samples.numbers[(table["count"] == 0).all(axis=0)].tolist(),
-        "beam_flags": _count_flags(table["flag"], BEAM_FLAGS, start, samples.numbers),
-        "record_flags": _count_flags(wind[2], RECORD_FLAGS, start, None),
-        "records_with_wind_from_behind": int((np.abs(wind[1]) > 90.0).sum()),
+        **_report_of_samples(came, filtered, int(series.sizes["sample"])),
+        **_report_of_records(records, came.numbers),
+        "blades": blades_in(samples, filtered, rules),
         "samples_needed": float(needed),
         "samples_expected": expected,
         "duration": float(duration),
-        "status_valid": rules.status_valid,
-        "cnr_range": None if cnr_range is None else [float(bound) for bound in cnr_range],
-        "despike": despike,
-        "despike_window": despike_window,
-        "despike_threshold": despike_threshold,
+        **{name: getattr(rules, name) for name in ("status_valid", "cnr_range", *_DESPIKE)},
+        "quality": asdict(rules),
     }
-    return _dataset(table, wind, start, samples.numbers, scan).assign_attrs(
+    absent = [number for number in scan.beam.tolist() if number not in samples.numbers]
+    return records.assign_attrs(
         {
             **{key: series.attrs[key] for key in ("source_files", "read_report") if key in series.attrs},
             "scan_key": scan.key,
@@ -199,30 +216,72 @@ def make_records(
     )
 
 
-def describe_report(dataset: xr.Dataset) -> list[str]:
-    """Say in plain lines what was read, dropped and flagged.
+def _rules(
+    quality: QualityRules | None,
+    cnr_range: tuple[float, float] | None,
+    despike: str | None,
+    despike_window: int,
+    despike_threshold: float,
+) -> QualityRules:
+    by_keyword = QualityRules(
+        cnr_range=cnr_range, despike=despike, despike_window=despike_window, despike_threshold=despike_threshold
+    )
+    if quality is None:
+        return by_keyword
+    if by_keyword != QualityRules():
+        raise InputError(
+            "Both quality and one of cnr_range, despike, despike_window, despike_threshold are given: "
+            "give it as part of quality, QualityRules(cnr_range=...)."
+        )
+    if not isinstance(quality, QualityRules):
+        raise InputError(f"Invalid quality {quality!r}: it must be a QualityRules, as QualityRules(despike='median').")
+    return quality
 
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        A series or records, with ``read_report`` or ``records_report`` in its attributes.
 
-    Returns
-    -------
-    lines : list of str
-        One fact each; empty if the dataset carries no report.
+def _check_named_beams(rules: QualityRules, scan: Scan) -> None:
+    for number in sorted(rules.named_beams()):
+        if number not in scan.beam:
+            raise InputError(
+                f"Unknown beam {number} in quality: the beams of scan {scan.name!r} are {scan.beam.tolist()}."
+            )
 
-    Examples
-    --------
-    >>> describe_report(xr.Dataset())
-    []
-    """
-    lines = []
-    if "read_report" in dataset.attrs:
-        lines += _describe_reading(json.loads(dataset.attrs["read_report"]))
-    if "records_report" in dataset.attrs:
-        lines += _describe_records(json.loads(dataset.attrs["records_report"]))
-    return lines
+
+def _report_of_samples(came: SortedSamples, filtered: Filtered, n_sample: int) -> dict[str, Any]:
+    """Count the samples: n_sample = duplicates + dropped by each filter + used, in all and for each beam."""
+
+    def by_beam(chosen: NDArray[np.bool_]) -> list[int]:
+        return [int(count) for count in np.bincount(came.beam[chosen], minlength=len(came.numbers))]
+
+    return {
+        "samples": n_sample,
+        "samples_out_of_order": came.out_of_order,
+        "duplicates_dropped": came.duplicates,
+        "dropped": filtered.counts(),
+        "samples_used": int(np.count_nonzero(filtered.keep)),
+        "by_beam": {
+            "beam": came.numbers.tolist(),
+            "samples": by_beam(np.ones(len(came.beam), dtype=bool)),
+            **{name: by_beam(filtered.dropped_by(name)) for name, number in filtered.counts().items() if number},
+            "used": by_beam(filtered.keep),
+        },
+    }
+
+
+def _report_of_records(records: xr.Dataset, numbers: IntArray) -> dict[str, Any]:
+    flag, start = records["flag"].values, records["time"].values
+    never = (records["count"].values == 0).all(axis=0)
+    empty = (flag & BEAM_FLAGS["no_samples"] > 0).all(axis=1)
+    flagged = (flag[~empty] & ~np.uint8(BEAM_FLAGS["record_excluded"])) != 0
+    rarely = (flagged.mean(axis=0) > _RARELY) & ~never
+    return {
+        "records": len(flag),
+        "records_without_samples": int(empty.sum()),
+        "beams_never_usable": numbers[never].tolist(),
+        "beams_rarely_usable": numbers[rarely].tolist(),
+        "beam_flags": _count_flags(flag, BEAM_FLAGS, start, numbers),
+        "record_flags": _count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
+        "records_with_wind_from_behind": int((np.abs(records["yaw"].values) > 90.0).sum()),
+    }
 
 
 def _window_ns(duration: float) -> int:
@@ -235,52 +294,6 @@ def _window_ns(duration: float) -> int:
     return window
 
 
-def _sorted_samples(series: xr.Dataset, scan: Scan) -> _Samples:
-    for name in ("radial_velocity", "time", "beam"):
-        if name not in series.variables or series[name].dims != ("sample",):
-            raise InputError(
-                f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read_radial_velocity."
-            )
-    if series.sizes["sample"] == 0:
-        raise InputError("Invalid series: it holds no sample; give files with samples.")
-    if not np.issubdtype(series["time"].dtype, np.datetime64) or bool(np.isnat(series["time"].values).any()):
-        raise InputError(
-            "Invalid series: every time must be a UTC time of type datetime64; make it with read_radial_velocity."
-        )
-    number = np.asarray(series["beam"].values)
-    present = np.unique(number)
-    for beam in present:
-        if beam not in scan.beam:
-            raise InputError(
-                f"Unknown beam {beam} in the series: the beams of scan {scan.name!r} are {scan.beam.tolist()}; "
-                "give the scan that the series was read with."
-            )
-    numbers = scan.beam[np.isin(scan.beam, present)]
-    by_number = np.argsort(numbers)
-    beam = by_number[np.searchsorted(numbers, number, sorter=by_number)]
-    time = series["time"].values.astype("datetime64[ns]").astype(np.int64)
-    velocity = series["radial_velocity"].values.astype(np.float64)
-    latest = pd.Series(time).groupby(beam).cummax().to_numpy()
-    order = np.lexsort((np.isnan(velocity), time, beam))
-    repeated = np.zeros(len(order), dtype=bool)
-    repeated[1:] = (np.diff(time[order]) == 0) & (np.diff(beam[order]) == 0)
-    order = order[~repeated]
-    optional = {
-        name: series[name].values[order].astype(np.float64) if name in series.variables else None
-        for name in ("cnr", "status")
-    }
-    return _Samples(
-        time=time[order],
-        beam=beam[order],
-        velocity=velocity[order],
-        cnr=optional["cnr"],
-        status=optional["status"],
-        numbers=numbers,
-        out_of_order=int((time < latest).sum()),
-        duplicates=int(repeated.sum()),
-    )
-
-
 def _check_size(n_record: int, n_beam: int, time: IntArray, duration: float) -> None:
     if n_record * n_beam > _MOST_ENTRIES:
         first, last = (pd.Timestamp(int(end)).isoformat() for end in (time.min(), time.max()))
@@ -290,59 +303,19 @@ def _check_size(n_record: int, n_beam: int, time: IntArray, duration: float) -> 
         )
 
 
-def _moments(
-    velocity: FloatArray, group: IntArray, n_group: int
-) -> tuple[IntArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return N, mean, variance (divisor N) and whether all values are equal, of each group; `group` is sorted.
-
-    Two passes, about the first sample of the group: a large mean costs no digits.
-    """
-    count = np.bincount(group, minlength=n_group)
-    shift = np.zeros(n_group)
-    constant = np.zeros(n_group, dtype=bool)
-    filled = np.flatnonzero(count)
-    if len(filled):
-        start = np.flatnonzero(np.diff(group, prepend=-1))
-        shift[filled] = velocity[start]
-        constant[filled] = np.minimum.reduceat(velocity, start) == np.maximum.reduceat(velocity, start)
-    some = np.where(count > 0, count, np.nan)
-    mean_deviation = np.bincount(group, weights=velocity - shift[group], minlength=n_group) / some
-    mean = shift + mean_deviation
-    deviation = (velocity - shift[group]) - mean_deviation[group]
-    residual = np.bincount(group, weights=deviation, minlength=n_group) / some  # zero but for rounding
-    variance = np.bincount(group, weights=deviation**2, minlength=n_group) / some - residual**2
-    return count.astype(np.int64), mean, variance, constant
-
-
 def _mean_wind(
     mean: FloatArray, valid: NDArray[np.bool_], scan: Scan
 ) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
     """Return wind speed, m/s, yaw, degrees, and flags of each record, from the means of the valid beams."""
-    n_record = len(mean)
-    speed, yaw = np.full(n_record, np.nan), np.full(n_record, np.nan)
-    flag = np.where(valid.all(axis=1), 0, RECORD_FLAGS["beam_flagged"]).astype(np.uint8)
-    level = scan.level_direction[:, :2]
-    along = scan.line_of_sight[:, 0]
-    patterns, pattern_of = np.unique(valid, axis=0, return_inverse=True)
-    for index, beams in enumerate(patterns):
-        rows = pattern_of.ravel() == index
-        if not beams.any():
-            flag[rows] |= RECORD_FLAGS["no_usable_beam"] | RECORD_FLAGS["wind_not_seen"]
-            continue
-        seen, v = level[beams], mean[rows][:, beams]
-        size = np.linalg.svd(seen, compute_uv=False)
-        if len(size) == 2 and size[1] > _RANK_TOLERANCE * size[0]:
-            u_level, v_level = np.linalg.pinv(seen) @ v.T
-            speed[rows], yaw[rows] = np.hypot(u_level, v_level), np.degrees(np.arctan2(-v_level, u_level))
-        elif np.linalg.norm(along[beams]) > _RANK_TOLERANCE:
-            n = along[beams]
-            projected = v @ n / (n @ n)  # least squares of v = n U
-            turned = np.degrees(scan.yaw) + np.where(projected < 0.0, 180.0, 0.0)
-            speed[rows], yaw[rows] = np.abs(projected), 180.0 - (180.0 - turned) % 360.0  # in (−180, 180]
-            flag[rows] |= RECORD_FLAGS["yaw_not_seen"]
-        else:
-            flag[rows] |= RECORD_FLAGS["yaw_not_seen"] | RECORD_FLAGS["wind_not_seen"]
-    return speed, yaw, flag
+    wind = horizontal_wind(mean, valid, scan.level_direction, scan.yaw)
+    usable_beam = valid.any(axis=1)
+    flag = (
+        RECORD_FLAGS["beam_flagged"] * ~valid.all(axis=1)
+        + RECORD_FLAGS["no_usable_beam"] * ~usable_beam
+        + RECORD_FLAGS["yaw_not_seen"] * (usable_beam & ~wind.yaw_seen)
+        + RECORD_FLAGS["wind_not_seen"] * ~wind.wind_seen
+    ).astype(np.uint8)
+    return wind.speed, np.degrees(wind.yaw), flag
 
 
 def _dataset(
@@ -368,7 +341,7 @@ def _dataset(
             "wind_speed": ("record", wind_speed, speed),
             "yaw": ("record", yaw, angle),
             "tilt": ("record", np.full(len(start), np.degrees(scan.tilt)), {"units": "degree"}),
-            "record_flag": ("record", record_flag, _flag_attributes(RECORD_FLAGS)),
+            "record_flag": ("record", record_flag, _flag_attributes({**RECORD_FLAGS, **REMARK_FLAGS})),
         },
         coords={"time": ("record", start, {"long_name": "start of the record, UTC"}), "beam": ("beam", numbers)},
         attrs={"scan": scan.name},
@@ -392,49 +365,3 @@ def _count_flags(
             if numbers is not None:
                 counted[name]["first_beam"] = int(numbers[where[0][1]])
     return counted
-
-
-def _describe_reading(report: Mapping[str, Any]) -> list[str]:
-    lines = []
-    for file in report["files"]:
-        line = f"{file['name']}: {file['rows']} rows ({file['format']})"
-        line += f", positive {file['positive']}, {file['velocity_unit']}"
-        for key, words in (
-            ("rows_invalid_value", "with an invalid value"),
-            ("rows_dropped", "dropped without a time or a beam"),
-            ("samples_out_of_order", "samples out of order, sorted"),
-        ):
-            line += f"; {file[key]} {words}" if file[key] else ""
-        lines.append(line)
-    absent = f"; absent: {_listed(report['beams_absent'])}" if report["beams_absent"] else ""
-    lines.append(f"beams in the files: {_listed(report['beams_present'])}{absent}")
-    line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"
-    if report["duplicates_dropped"]:
-        line += f"; {report['duplicates_dropped']} repeated ones dropped"
-        line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
-    return [*lines, line]
-
-
-def _describe_records(report: Mapping[str, Any]) -> list[str]:
-    dropped = ", ".join(f"{name} {number}" for name, number in report["dropped"].items())
-    lines = [f"{report['records']} records of {report['duration']:g} s"]
-    lines[0] += f"; {report['samples_used']} of {report['samples']} samples used"
-    lines[0] += f"; dropped: duplicates {report['duplicates_dropped']}, {dropped}"
-    if report["records_without_samples"]:
-        lines.append(f"gaps: {report['records_without_samples']} records hold no sample of any beam")
-    if report["beams_never_usable"]:
-        lines.append(f"beams without a usable sample in any record: {_listed(report['beams_never_usable'])}")
-    meaning = {"too_few_samples": f" (fewer than {report['samples_needed']:g})"}
-    for kind, what in (("beam_flags", "beams of records"), ("record_flags", "records")):
-        for name, counted in report[kind].items():
-            if counted["count"]:
-                beam = f", beam {counted['first_beam']}" if "first_beam" in counted else ""
-                lines.append(
-                    f"flag {name}{meaning.get(name, '')}: {counted['count']} of {counted['of']} {what}, "
-                    f"first {counted['first_time']}{beam}"
-                )
-    return lines
-
-
-def _listed(numbers: list[int]) -> str:
-    return ", ".join(str(number) for number in numbers) if len(numbers) <= 12 else f"{len(numbers)} beams"

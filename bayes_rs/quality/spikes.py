@@ -1,0 +1,56 @@
+"""Spikes: samples far from the running median of their beam."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.ndimage
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.quality.groups import group_median
+from bayes_rs.quality.samples import BoolArray, IntArray
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation over median absolute deviation, of a Gaussian."""
+
+
+def running_median(velocity: FloatArray, beam: IntArray, *, window: int) -> FloatArray:
+    """Return the median of the `window` samples of the same beam about each sample, mirrored at the beam's ends."""
+    median = np.empty_like(velocity)
+    edges = np.flatnonzero(np.diff(beam)) + 1
+    for values, out in zip(np.split(velocity, edges), np.split(median, edges), strict=True):
+        if len(values):
+            out[:] = scipy.ndimage.median_filter(values, size=window, mode="mirror")
+    return median
+
+
+def is_far(deviation: FloatArray, group: IntArray, *, threshold: float) -> BoolArray:
+    """Say where deviations are beyond k · 1.4826 · MAD of their group; nowhere in a group whose MAD is zero."""
+    mad = group_median(deviation, group)
+    return np.asarray((deviation > threshold * MAD_TO_SIGMA * mad) & (mad > 0.0))
+
+
+def is_spike(velocity: FloatArray, beam: IntArray, group: IntArray, *, window: int, threshold: float) -> BoolArray:
+    """Find spikes by the median rule: |v − m| > k · 1.4826 · MAD.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (n_sample,)
+        Finite radial velocities, m/s, beam after beam and each in time's order.
+    beam, group : ndarray of int, shape (n_sample,)
+        Beam, and record and beam together, of each sample.
+    window : int
+        Number of samples w of the running median m, odd; mirrored at a beam's ends.
+    threshold : float
+        k.
+
+    Returns
+    -------
+    spike : ndarray of bool, shape (n_sample,)
+        Which samples are spikes.
+
+    Notes
+    -----
+    m is the median of the w usable samples of the same beam about the sample, MAD the median of |v − m| over the record
+    and beam. Where MAD is zero (a value that repeats) the rule has no scale and drops nothing.
+    """
+    return is_far(np.abs(velocity - running_median(velocity, beam, window=window)), group, threshold=threshold)

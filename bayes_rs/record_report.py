@@ -1,0 +1,109 @@
+"""What the making of records found, in plain lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import xarray as xr
+
+_SURE = 1e-3
+"""p-value below which dropped samples are reported as periodic."""
+
+
+def describe_report(dataset: xr.Dataset) -> list[str]:
+    """Say in plain lines what was read, dropped and flagged.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A series or records, with ``read_report`` or ``records_report`` in its attributes.
+
+    Returns
+    -------
+    lines : list of str
+        One fact each; empty if the dataset carries no report.
+
+    Examples
+    --------
+    >>> describe_report(xr.Dataset())
+    []
+    """
+    lines = []
+    if "read_report" in dataset.attrs:
+        lines += _describe_reading(json.loads(dataset.attrs["read_report"]))
+    if "records_report" in dataset.attrs:
+        lines += _describe_records(json.loads(dataset.attrs["records_report"]))
+    return lines
+
+
+def _describe_reading(report: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for file in report["files"]:
+        line = f"{file['name']}: {file['rows']} rows ({file['format']})"
+        line += f", positive {file['positive']}, {file['velocity_unit']}"
+        for key, words in (
+            ("rows_invalid_value", "with an invalid value"),
+            ("rows_dropped", "dropped without a time or a beam"),
+            ("samples_out_of_order", "samples out of order, sorted"),
+        ):
+            line += f"; {file[key]} {words}" if file[key] else ""
+        lines.append(line)
+    absent = f"; absent: {_listed(report['beams_absent'])}" if report["beams_absent"] else ""
+    lines.append(f"beams in the files: {_listed(report['beams_present'])}{absent}")
+    line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"
+    if report["duplicates_dropped"]:
+        line += f"; {report['duplicates_dropped']} repeated ones dropped"
+        line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
+    return [*lines, line]
+
+
+def _describe_records(report: Mapping[str, Any]) -> list[str]:
+    dropped = ", ".join(f"{name} {number}" for name, number in report["dropped"].items())
+    lines = [f"{report['records']} records of {report['duration']:g} s"]
+    lines[0] += f"; {report['samples_used']} of {report['samples']} samples used"
+    lines[0] += f"; dropped: duplicates {report['duplicates_dropped']}, {dropped}"
+    if "by_beam" in report:
+        lines += _describe_filters(report["dropped"], report["by_beam"])
+    for found in report.get("blades", []):
+        if found["p_value"] is not None and found["p_value"] < _SURE:
+            lines.append(
+                f"beam {found['beam']}: its {found['events']} blocked or slow samples come at {found['frequency']:.3g} "
+                f"Hz or an alias of it, as blades do (p = {found['p_value']:.1g})"
+            )
+    if report["records_without_samples"]:
+        lines.append(f"gaps: {report['records_without_samples']} records hold no sample of any beam")
+    if report["beams_never_usable"]:
+        lines.append(f"beams without a usable sample in any record: {_listed(report['beams_never_usable'])}")
+    if report.get("beams_rarely_usable"):
+        lines.append(f"beams flagged in more than half of the records: {_listed(report['beams_rarely_usable'])}")
+    meaning = {"too_few_samples": f" (fewer than {report['samples_needed']:g})"}
+    for kind, what in (("beam_flags", "beams of records"), ("record_flags", "records")):
+        for name, counted in report[kind].items():
+            if counted["count"]:
+                beam = f", beam {counted['first_beam']}" if "first_beam" in counted else ""
+                lines.append(
+                    f"flag {name}{meaning.get(name, '')}: {counted['count']} of {counted['of']} {what}, "
+                    f"first {counted['first_time']}{beam}"
+                )
+    return lines
+
+
+def _describe_filters(dropped: Mapping[str, int], by_beam: Mapping[str, list[int]]) -> list[str]:
+    """Say for each filter that dropped something which share it was, and which beam lost most by it."""
+    lines = []
+    total = sum(by_beam["samples"])
+    for name, number in dropped.items():
+        if number and name in by_beam:
+            share = [lost / came if came else 0.0 for lost, came in zip(by_beam[name], by_beam["samples"], strict=True)]
+            worst = max(range(len(share)), key=share.__getitem__)
+            lines.append(
+                f"dropped by {name}: {number} samples ({100.0 * number / total:.2g} %); most of beam "
+                f"{by_beam['beam'][worst]}, {by_beam[name][worst]} of {by_beam['samples'][worst]}"
+            )
+    return lines
+
+
+def _listed(numbers: list[int]) -> str:
+    return ", ".join(str(number) for number in numbers) if len(numbers) <= 12 else f"{len(numbers)} beams"
