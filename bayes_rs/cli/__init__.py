@@ -10,6 +10,8 @@ from bayes_rs._version import __version__
 from bayes_rs.cli.data_commands import calibrate, demo, plan, records, scans
 from bayes_rs.cli.design_commands import compare_command, optimize, trade_off_command
 from bayes_rs.cli.fit_commands import corner, fit, sensitivity
+from bayes_rs.cli.report_command import report
+from bayes_rs.cli.spectra_command import spectra
 
 EXIT_BAD_INPUT = 2
 
@@ -57,6 +59,8 @@ for command in (
     fit,
     sensitivity,
     corner,
+    report,
+    spectra,
     compare_command,
     optimize,
     trade_off_command,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayes_rs.cli.options import (
+    NoiseVariance,
     chosen_nuisances,
     nuisance_options,
     read_or_make_records,
@@ -83,7 +84,11 @@ _SENSITIVITY_OPTIONS = (
 @nuisance_options
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
 @click.option(
-    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
+    "--instrument-noise",
+    type=NoiseVariance(),
+    default=0.0,
+    show_default=True,
+    help="Variance that the instrument adds, m² s⁻²; or records, for what each record holds for each beam.",
 )
 @click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the credible intervals.")
 @click.option(

@@ -28,6 +28,21 @@ def _together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
     return decorate
 
 
+class NoiseVariance(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
+    """A number, or the word records."""
+
+    name = "number or records"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Return the number, or the word."""
+        if value == "records":
+            return "records"
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} must be a number, m² s⁻², or the word records.", param, ctx)
+
+
 mounting_options = _together(
     click.option("--opening-angle", "opening_angle_deg", type=float, help="Another half-cone opening angle, degrees."),
     click.option("--focus-distance", type=float, multiple=True, help="Another focus distance, m; several for planes."),
@@ -80,6 +95,22 @@ reading_options = _together(
 """How the files are written, as for `bayes_rs.read_radial_velocity`."""
 
 
+_RULES = (
+    "cnr_range",
+    "velocity_range",
+    "hard_target_cnr",
+    "frozen_run",
+    "blade_threshold",
+    "blade_frequency",
+    "despike",
+    "trend_level",
+    "sub_variance_limit",
+    "half_ratio_limit",
+    "min_wind_speed",
+    "exclude",
+)
+"""Options of records that `bayes_rs.QualityRules` takes under the same name."""
+
 record_options = _together(
     click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s."),
     click.option(
@@ -90,7 +121,22 @@ record_options = _together(
         help="Least share of the expected samples of a beam.",
     ),
     click.option("--cnr-range", type=(float, float), help="Lowest and highest carrier-to-noise ratio, dB."),
+    click.option("--velocity-range", type=(float, float), help="Lowest and highest radial velocity, m/s."),
+    click.option("--hard-target-cnr", type=float, help="Drop samples that hardly move from this CNR on, dB."),
+    click.option("--frozen-run", type=int, help="Drop runs of so many equal values."),
+    click.option("--blade-threshold", type=float, help="Drop samples so many robust deviations towards zero."),
+    click.option("--blade-frequency", type=(float, float), help="Where to look for the blades' frequency, Hz."),
     click.option("--despike", type=click.Choice(["median"]), help="Rule that drops spikes."),
+    click.option("--trend-level", type=float, help="Level of the test for a trend, as 0.01; remarks on records."),
+    click.option("--sub-variance-limit", type=float, help="Share of the variance between parts that is remarked on."),
+    click.option("--half-ratio-limit", type=float, help="Ratio of the halves' variances that is remarked on."),
+    click.option("--min-wind-speed", type=float, help="Mean wind speed below which a record is remarked on, m/s."),
+    click.option(
+        "--exclude",
+        multiple=True,
+        type=click.Choice(["not_stationary", "low_wind"]),
+        help="A remark that takes a record out of the fit; repeatable.",
+    ),
 )
 """How records are made, as for `bayes_rs.make_records`."""
 
@@ -119,6 +165,15 @@ nuisance_options = _together(
         "--length-scale",
         type=float,
         help="Median length scale, m, with --length-scale-sd; by default the records' own, or that of --turbulence.",
+    ),
+    click.option(
+        "--vertical-gradient-sd",
+        type=float,
+        default=0.0,
+        help="Vertical change of the stresses: standard deviation of the change of their logarithm over 100 m.",
+    ),
+    click.option(
+        "--lateral-gradient-sd", type=float, default=0.0, help="The same for a lateral change of the stresses."
     ),
     click.option(
         "--inflation", type=float, default=1.0, help="Factor of the noise's covariance, for less Gaussian flow."
@@ -166,47 +221,58 @@ def chosen_nuisances(records: xr.Dataset, options: dict[str, Any]) -> Nuisances:
         instrument_noise_log_sd=options["instrument_noise_sd"],
         length_scale_log_sd=options["length_scale_sd"],
         length_scale=length_scale,
+        vertical_gradient_sd=options["vertical_gradient_sd"],
+        lateral_gradient_sd=options["lateral_gradient_sd"],
         inflation=options["inflation"],
         inflation_dof=options["inflation_dof"],
     )
 
 
-def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Any, Scan]:
+def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[xr.Dataset, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
     from bayes_rs.job import open_record_files
-    from bayes_rs.readers import read_radial_velocity
-    from bayes_rs.records import describe_report, make_records
 
     scan = chosen_scan(options)
     if (made := open_record_files(files, scan)) is not None:
         return made, scan
-    series = read_radial_velocity(
-        list(files),
-        scan,
-        file_format=options["file_format"],
-        columns=_pairs(options["columns"], "--column") or None,
-        beam_numbers={theirs: _whole(ours) for theirs, ours in _pairs(options["beam_numbers"], "--beam-number").items()}
-        or None,
-        positive=options["positive"],
-        velocity_unit=options["velocity_unit"],
-        invalid=list(options["invalid"]) or None,
-        time_zone=options["time_zone"],
-        separator=options["separator"],
-        decimal=options["decimal"],
-        status_valid=options["status_valid"],
-        out_of_order=options["out_of_order"],
-    )
-    made = make_records(
-        series,
-        scan,
-        duration=options["duration"],
-        min_availability=options["min_availability"],
-        cnr_range=options["cnr_range"],
-        despike=options["despike"],
-    )
+    return records_of(read_series(files, scan, options), scan, options), scan
+
+
+def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) -> xr.Dataset:
+    """Read radial velocities as the reading options say."""
+    from bayes_rs.readers import read_radial_velocity
+
+    return read_radial_velocity(list(files), scan, **reading_choices(options))
+
+
+def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the reading options by the names of `bayes_rs.read_radial_velocity`."""
+    same = ("file_format", "positive", "velocity_unit", "time_zone", "separator", "decimal", "status_valid")
+    numbers = _pairs(options["beam_numbers"], "--beam-number")
+    return {
+        **{name: options[name] for name in (*same, "out_of_order")},
+        "columns": _pairs(options["columns"], "--column") or None,
+        "beam_numbers": {theirs: _whole(ours) for theirs, ours in numbers.items()} or None,
+        "invalid": list(options["invalid"]) or None,
+    }
+
+
+def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Dataset:
+    """Make records as the options say, and say on stderr what was read and dropped."""
+    from bayes_rs.records import describe_report, make_records
+
+    made = make_records(series, scan, **record_choices(options))
     for line in describe_report(made):
         click.echo(line, err=True)
-    return made, scan
+    return made
+
+
+def record_choices(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of records by the names of `bayes_rs.make_records`."""
+    from bayes_rs.quality import QualityRules
+
+    rules = QualityRules(**{name: options[name] for name in _RULES})
+    return {"duration": options["duration"], "min_availability": options["min_availability"], "quality": rules}
 
 
 def _pairs(texts: tuple[str, ...], option: str) -> dict[str, str]:

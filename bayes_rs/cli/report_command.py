@@ -1,0 +1,24 @@
+"""The command that writes the report of a fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="HTML file to write; by default report.html in FOLDER."
+)
+@click.option("--title", help="Heading of the page; by default the scan and the period.")
+@click.option(
+    "--prob", type=float, help="Probability of the credible intervals; by default that of the fit. Needs the draws."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing report.")
+def report(folder: Path, output: Path | None, title: str | None, prob: float | None, overwrite: bool) -> None:
+    """Write one HTML page that shows what a fit found; it needs no network."""
+    from bayes_rs.report.writing import write_report
+
+    click.echo(str(write_report(folder, output, title=title, prob=prob, overwrite=overwrite)))
