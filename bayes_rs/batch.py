@@ -40,7 +40,7 @@ class FitOptions:
     nuisances : Nuisances
         What is uncertain beside R.
     instrument_noise : float
-        Variance that the instrument adds to each radial variance, m² s⁻².
+        Variance that the instrument adds to each radial variance, m² s⁻²; see `Batch` for that of the records.
     target_ess, max_extension : int
         Effective sample size to reach, and how often a chain may be doubled for it.
     seed : int
@@ -76,6 +76,10 @@ class Batch:
         What makes each record's random stream its own.
     flow : dict of str to ndarray, shape (n_record,)
         The records' own ``length_scale`` (m) and ``gamma``, where they have them.
+    turn : ndarray, shape (n_record, 6, 6), optional
+        What takes the gains to the records' own tilt and roll (`gain_turn`), where those were measured.
+    instrument_noise : ndarray, shape (n_record, n_beam), optional
+        Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
     """
 
     variance: FloatArray
@@ -84,6 +88,8 @@ class Batch:
     yaw: FloatArray
     key: NDArray[np.int64]
     flow: dict[str, FloatArray] = field(default_factory=dict)
+    turn: FloatArray | None = None
+    instrument_noise: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -98,7 +104,26 @@ class Batch:
             self.yaw[records],
             self.key[records],
             {name: values[records] for name, values in self.flow.items()},
+            None if self.turn is None else self.turn[records],
+            None if self.instrument_noise is None else self.instrument_noise[records],
         )
+
+    def turned(self, gain: FloatArray) -> FloatArray:
+        """Return gains (n_record, n_beam, 6) at the records' own tilt and roll; the noise stays that of the scan's."""
+        return gain if self.turn is None else gain @ self.turn
+
+    def known_noise(self, options: FitOptions) -> FloatArray | float:
+        """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""
+        if options.nuisances.instrument_noise_log_sd > 0.0:
+            return 0.0
+        return options.instrument_noise if self.instrument_noise is None else self.instrument_noise
+
+    def median_noise(self, options: FitOptions) -> FloatArray | float:
+        """Return the median of uncertain noise: that of the options, or (n_record, 1) the mean of the used beams."""
+        if self.instrument_noise is None:
+            return options.instrument_noise
+        count = np.maximum(np.count_nonzero(self.used, axis=1, keepdims=True), 1)
+        return np.asarray(np.sum(np.where(self.used, self.instrument_noise, 0.0), axis=1, keepdims=True) / count)
 
 
 @dataclass(frozen=True)
@@ -216,15 +241,17 @@ def _fit_whole(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions,
 
 def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
     """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
-    noise = reduced(cast("NoiseBank", bank))
-    certain = options.nuisances.instrument_noise_log_sd == 0.0
+    noise = reduced(cast("NoiseBank", bank), options.nuisances.gradient_names)
     factors, weights = options.nuisances.length_scale_nodes()
     parts: list[Likelihood] = []
+    place = _place(batch, noise.bank, options.nuisances)
     for factor in factors:
         at_node = noise.for_records(
             batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
         )
-        gain = at_node.gain * (1.0 + at_node.bias)[:, :, None] if options.target == "ensemble" else at_node.gain
+        gain = batch.turned(at_node.gain)
+        if options.target == "ensemble":
+            gain = gain * (1.0 + at_node.bias)[:, :, None]
         parts.append(
             reduced_log_normal_likelihood(
                 batch.variance,
@@ -232,15 +259,16 @@ def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions
                 noise.left,
                 at_node.covariance,
                 at_node.log_variance,
-                options.instrument_noise if certain else 0.0,
+                batch.known_noise(options),
                 inflation=options.nuisances.inflation,
                 dof=options.nuisances.inflation_dof,
+                place=place,
             )
         )
         if factor == 1.0:
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
-    nuisances = RecordNuisances(options.nuisances, batch.yaw, options.instrument_noise)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
     posterior = Posterior(likelihood, options.prior, nuisances)
     chains, streams = sample(
         options.sampler,
@@ -276,12 +304,12 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
     # in the lidar's frame, so that the wind's direction does not weight the beams
     reference = design_matrix(np.asarray(noise.scan_geometry["direction"], dtype=np.float64)) @ REFERENCE_STRESS
     parts: list[Likelihood] = []
+    place = _place(batch, noise, options.nuisances)
     for factor in factors:
         at_node = _noise_of(noise, batch, options.nuisances, float(factor))
-        gain = at_node.gain
+        gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
-        certain = options.nuisances.instrument_noise_log_sd == 0.0
         parts.append(
             make_likelihood(
                 options.likelihood,
@@ -289,17 +317,24 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
                 batch.used,
                 gain,
                 at_node.covariance,
-                options.instrument_noise if certain else 0.0,
+                batch.known_noise(options),
                 inflation=options.nuisances.inflation,
                 dof=options.nuisances.inflation_dof,
                 reference=reference,
+                place=place,
             )
         )
         if factor == 1.0:
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
-    nuisances = RecordNuisances(options.nuisances, batch.yaw, options.instrument_noise)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
     return Posterior(likelihood, options.prior, nuisances), at_record
+
+
+def _place(batch: Batch, noise: NoiseModel | NoiseBank, nuisances: Nuisances) -> FloatArray | None:
+    """Return where the beams of each record measure, for gradients of R; None if R is the same everywhere."""
+    place = nuisances.place(noise.scan_geometry)
+    return None if place is None else np.broadcast_to(place, (len(batch), *place.shape))
 
 
 def _sonic_noise(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> list[SonicNoise]:

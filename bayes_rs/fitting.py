@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
+from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
 from bayes_rs.errors import InputError
 from bayes_rs.likelihood import LIKELIHOODS
@@ -18,6 +18,7 @@ from bayes_rs.result import FLAGS, assemble
 from bayes_rs.sampling import SAMPLERS
 from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.scan import Scan
+from bayes_rs.wind.attitude import gain_turn
 
 TARGETS = ("record", "ensemble", "sonic")
 MISFIT_LIMIT = 3.0
@@ -41,7 +42,7 @@ def fit(
     nuisances: Nuisances | None = None,
     target_ess: int = 1000,
     max_extension: int = 5,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
     show_progress: bool | None = None,
 ) -> xr.DataTree:
     """Sample the posterior of the Reynolds stress tensor of every record.
@@ -50,6 +51,7 @@ def fit(
     ----------
     records : Dataset, dims (record, beam)
         From `make_records`: ``variance`` (m² s⁻²), ``flag``, and per record ``wind_speed`` (m/s) and ``yaw`` (degree).
+        Where `with_motion` gave them a tilt and roll of their own, the beams point as these say.
     scan : Scan
         The scan that measured them.
     noise : NoiseModel or NoiseBank
@@ -75,13 +77,16 @@ def fit(
     likelihood : str
         ``"log-normal"``, ``"gaussian"``, ``"gaussian-plugin"`` or ``"gamma"``: the distribution of the variances.
     nuisances : Nuisances, optional
-        What is uncertain beside R: yaw, tilt, instrument noise, length scale, inflation of the noise.
+        What is uncertain beside R: yaw, tilt, instrument noise, gradients of R over the scanned area, length scale,
+        inflation of the noise.
     target_ess : int
         Bulk effective sample size that every stress of every record should reach.
     max_extension : int
         How often a chain that is too short may be doubled. One that still misses the target is flagged.
-    instrument_noise : float
-        Variance that the instrument adds to each radial variance, m² s⁻².
+    instrument_noise : float or str
+        Variance that the instrument adds to each radial variance, m² s⁻²; or ``"records"``, the ``instrument_noise``
+        (record, beam) of the records, as from `with_instrument_noise`. Beams whose variance is not above it are left
+        out and flagged.
     show_progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
 
@@ -111,7 +116,7 @@ def fit(
     options = fit_options(
         prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
     )
-    scan, noise, batch = prepare(records, scan, noise)
+    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise)
     fitted = can_be_fitted(batch)
     flag = flags_before(records, batch.used, fitted)
     size = batch_size(scan.n_beam)
@@ -137,7 +142,7 @@ def fit(
             "sampler": sampler,
             "likelihood": likelihood,
             "nuisances": options.nuisances.in_words(),
-            "instrument_noise": float(instrument_noise),
+            "instrument_noise": instrument_noise if isinstance(instrument_noise, str) else float(instrument_noise),
             "seed": int(seed),
             "target_ess": target_ess,
             "n_outside_noise": 0 if joined is None else int(np.count_nonzero(joined.outside)),
@@ -157,7 +162,7 @@ def batch_size(n_beam: int) -> int:
 
 
 def prepare(
-    records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank
+    records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank, *, instrument_noise: float | str = 0.0
 ) -> tuple[Scan, NoiseModel | NoiseBank, Batch]:
     """Check that records, scan and noise belong together; return scan and noise of the records' beams, and the data.
 
@@ -173,16 +178,20 @@ def prepare(
     noise.check_scan(scan)
     _check_duration(records, noise)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
+    used = (records["flag"].values == 0) & (variance > 0.0)
+    own_noise = _own_noise(records, used) if isinstance(instrument_noise, str) else None
     return (
         scan,
         noise,
         Batch(
             variance,
-            (records["flag"].values == 0) & (variance > 0.0),
+            used if own_noise is None else used & (variance > own_noise),
             np.asarray(records["wind_speed"].values, dtype=np.float64),
             np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)),
             _stream_keys(records),
             {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
+            gain_turn(records, scan),
+            own_noise,
         ),
     )
 
@@ -193,7 +202,7 @@ def fit_options(
     sampler: str,
     likelihood: str,
     nuisances: Nuisances | None,
-    instrument_noise: float,
+    instrument_noise: float | str,
     target_ess: int,
     max_extension: int,
     seed: int,
@@ -210,7 +219,10 @@ def fit_options(
         )
     check_count(target_ess, what="target_ess")
     check_count(max_extension, what="max_extension", minimum=0)
-    check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
+    if isinstance(instrument_noise, str):
+        check_choice(instrument_noise, ("records",), what="instrument_noise")
+    else:
+        check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
     as_generator(seed)
     uncertain = Nuisances() if nuisances is None else nuisances
     if uncertain.instrument_noise_log_sd > 0.0 and instrument_noise == 0.0:
@@ -228,7 +240,7 @@ def fit_options(
         sampler=sampler,
         likelihood=likelihood,
         nuisances=uncertain,
-        instrument_noise=instrument_noise,
+        instrument_noise=0.0 if isinstance(instrument_noise, str) else float(instrument_noise),
         target_ess=target_ess,
         max_extension=max_extension,
         seed=int(seed),
@@ -252,6 +264,24 @@ def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
     if records.sizes["record"] == 0:
         raise InputError("There is no record: the series is shorter than one averaging period.")
     return scan.select(records["beam"].values)
+
+
+def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
+    """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²."""
+    if "instrument_noise" not in records or records["instrument_noise"].dims != ("record", "beam"):
+        raise InputError(
+            "The records have no instrument_noise with dims ('record', 'beam'): add it with with_instrument_noise, or "
+            "give a number as instrument_noise."
+        )
+    own = np.asarray(records["instrument_noise"].values, dtype=np.float64)
+    bad = np.argwhere(used & ~(np.isfinite(own) & (own >= 0.0)))
+    if len(bad):
+        record, beam = (int(i) for i in bad[0])
+        raise InputError(
+            f"Invalid instrument_noise {own[record, beam]} m² s⁻² of record {record}, beam "
+            f"{records['beam'].values[beam]}: it must be finite, zero or above; with_instrument_noise makes it so."
+        )
+    return np.where(used, own, 0.0)
 
 
 def _check_duration(records: xr.Dataset, noise: NoiseModel | NoiseBank) -> None:
@@ -284,8 +314,8 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
         meanings = str(records["record_flag"].attrs.get("flag_meanings", "")).split()
         masks = np.atleast_1d(records["record_flag"].attrs.get("flag_masks", []))
         for meaning, mask in zip(meanings, masks, strict=True):
-            if meaning == "yaw_not_seen":
-                flag[(records["record_flag"].values & mask) != 0] |= FLAGS["yaw_not_seen"]
+            if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
+                flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
     return flag
 
 

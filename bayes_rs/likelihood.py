@@ -19,7 +19,6 @@ from bayes_rs.likelihood_base import (
     factor_reduced,
     half_square,
     log_normalizer,
-    seen_directions,
     with_tails,
 )
 from bayes_rs.plugin_likelihood import plugin_likelihood
@@ -44,8 +43,8 @@ class LogNormalLikelihood(Likelihood):
 
     Parameters
     ----------
-    gain, offset, n_datum, dof
-        As in `Likelihood`; normal noise unless `dof` is given.
+    gain, offset, n_datum, dof, place
+        As in `Likelihood`; normal noise unless `dof` is given, the same R for all beams unless `place` is.
     datum : ndarray, shape (n_record, n_seen)
         Whitened, reduced log-variances W (ln y + ½ diag C).
     whitening : ndarray, shape (n_record, n_seen, n_beam)
@@ -59,10 +58,10 @@ class LogNormalLikelihood(Likelihood):
     Cov[ln y] = ln(1 + K) and E[ln y] = ln m − ½ diag ln(1 + K) (element by element).
 
     With more beams than the stresses can move independently, ln y is projected on the column space U of
-    ∂ ln m/∂R at a reference shape, and the density is that of Uᵀ ln y, exactly. For noise that is the same for all
-    beams up to rotation about the axis this loses nothing; in general it gives up the part of the information that sits
-    in the noise's correlation between what R can and cannot explain, and with it the dependence on the smallest
-    eigenvalues of K, which no finite number of boxes determines.
+    ∂ ln m/∂R at a reference shape (and of `place`, what gradients move), and the density is that of Uᵀ ln y, exactly.
+    For noise that is the same for all beams up to rotation about the axis this loses nothing; in general it gives up
+    the part of the information that sits in the noise's correlation between what R can and cannot explain, and with it
+    the dependence on the smallest eigenvalues of K, which no finite number of boxes determines.
     """
 
     gain: FloatArray
@@ -72,12 +71,17 @@ class LogNormalLikelihood(Likelihood):
     log_normalizer: FloatArray
     n_datum: NDArray[np.int64]
     dof: float = np.inf
+    place: FloatArray | None = None
 
-    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
-        return with_tails(self._normal_residual(stress, offset), self.n_datum, self.dof)
+        return with_tails(self._normal_residual(stress, offset, gradient), self.n_datum, self.dof)
 
-    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
 
         A tensor for which a beam's expected variance is not positive has likelihood zero. For points that is a tensor
@@ -85,12 +89,14 @@ class LogNormalLikelihood(Likelihood):
         only up to the error of the interpolation.
         """
         with np.errstate(invalid="ignore"):
-            residual = self._normal_residual(stress, offset)
+            residual = self._normal_residual(stress, offset, gradient)
             square = np.einsum("rds,rds->rd", residual, residual)
             density = self.log_normalizer[:, None] - half_square(square, self.n_datum, self.dof)
         return np.where(np.isfinite(density), density, -np.inf)
 
-    def _normal_residual(self, stress: FloatArray, offset: FloatArray | None) -> FloatArray:
+    def _normal_residual(
+        self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
+    ) -> FloatArray:
         n_draw, n_beam = stress.shape[1], self.gain.shape[1]
         residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
         n_together = max(1, _BLOCK // max(1, n_draw * n_beam))
@@ -101,6 +107,8 @@ class LogNormalLikelihood(Likelihood):
             for start in range(0, n_draw, n_of_draws):
                 draws = slice(start, start + n_of_draws)
                 mean = stress[part, draws] @ gain
+                if self.place is not None and gradient is not None:
+                    mean *= np.exp(gradient[part, draws] @ self.place[part].swapaxes(-1, -2))
                 mean += self.offset[part, None, :]
                 if offset is not None:
                     mean += offset[part, draws, None]
@@ -120,6 +128,7 @@ def log_normal_likelihood(
     inflation: float = 1.0,
     dof: float = np.inf,
     reference: FloatArray | None = None,
+    place: FloatArray | None = None,
 ) -> LogNormalLikelihood:
     """Prepare the log-normal likelihood of many records.
 
@@ -141,6 +150,8 @@ def log_normal_likelihood(
         Degrees of freedom of the noise: see `Likelihood`.
     reference : ndarray, shape (n_beam,), optional
         Expected variances at which more beams than stresses are reduced; by default those of `REFERENCE_STRESS`.
+    place : ndarray, shape (n_record, n_beam, n_gradient), optional
+        Where the beams measure, for stresses with gradients: see `Likelihood`.
 
     Returns
     -------
@@ -156,10 +167,10 @@ def log_normal_likelihood(
         without error.
     """
     check_tails(inflation, dof)
-    data = beam_data(variance, used, gain, offset)
+    data = beam_data(variance, used, gain, offset, place)
     log_covariance = inflation * np.log1p(data.relative_covariance(covariance))
     level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
-    left, seen = seen_directions(data.gain / np.where(used, level, 1.0)[:, :, None])
+    left, seen = data.seen_directions(np.where(used, level, 1.0))
     return _log_normal(
         data,
         left,
@@ -180,6 +191,7 @@ def reduced_log_normal_likelihood(
     *,
     inflation: float = 1.0,
     dof: float = np.inf,
+    place: FloatArray | None = None,
 ) -> LogNormalLikelihood:
     """Prepare the log-normal likelihood of records whose noise was reduced beforehand; every beam is used.
 
@@ -190,12 +202,12 @@ def reduced_log_normal_likelihood(
     gain : ndarray, shape (n_record, n_beam, 6)
         E[y] = gain · stresses + offset.
     left : ndarray, shape (n_beam, n_seen)
-        Orthonormal basis U of what the stresses can move.
+        Orthonormal basis U of what stresses and gradients can move.
     covariance : ndarray, shape (n_record, n_seen, n_seen)
         Uᵀ ln(1 + K) U.
     log_variance : ndarray, shape (n_record, n_beam)
         diag ln(1 + K).
-    offset, inflation, dof
+    offset, inflation, dof, place
         As in `log_normal_likelihood`.
 
     Returns
@@ -209,7 +221,7 @@ def reduced_log_normal_likelihood(
         As `log_normal_likelihood`.
     """
     check_tails(inflation, dof)
-    data = beam_data(variance, np.ones(variance.shape, dtype=np.bool_), gain, offset)
+    data = beam_data(variance, np.ones(variance.shape, dtype=np.bool_), gain, offset, place)
     seen = np.ones((len(variance), left.shape[1]), dtype=np.bool_)
     whole = np.broadcast_to(left, (len(variance), *left.shape))
     return _log_normal(data, whole, seen, inflation * covariance, inflation * log_variance, float(dof))
@@ -237,6 +249,7 @@ def _log_normal(
         datum=np.einsum("rsb,rb->rs", whitening, log_y),
         whitening=whitening,
         log_normalizer=log_normalizer(n_datum, log_determinant, dof),
+        place=data.place,
     )
 
 
@@ -260,6 +273,7 @@ def make_likelihood(
     inflation: float = 1.0,
     dof: float = np.inf,
     reference: FloatArray | None = None,
+    place: FloatArray | None = None,
 ) -> Likelihood:
     """Prepare the likelihood that `name` means; for the others see `log_normal_likelihood`.
 
@@ -267,7 +281,7 @@ def make_likelihood(
     ----------
     name : str
         One of `LIKELIHOODS`.
-    variance, used, gain, covariance, offset, inflation, dof, reference
+    variance, used, gain, covariance, offset, inflation, dof, reference, place
         As in `log_normal_likelihood`.
 
     Returns
@@ -283,4 +297,6 @@ def make_likelihood(
         If the noise of the reduced data is singular.
     """
     maker = LIKELIHOODS[check_choice(name, tuple(LIKELIHOODS), what="likelihood")]
-    return maker(variance, used, gain, covariance, offset, inflation=inflation, dof=dof, reference=reference)
+    return maker(
+        variance, used, gain, covariance, offset, inflation=inflation, dof=dof, reference=reference, place=place
+    )

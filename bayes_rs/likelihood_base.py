@@ -35,12 +35,16 @@ class Likelihood(ABC):
         Degrees of freedom ν of the noise. If finite, it is a multivariate Student-t with the noise's covariance as
         scale matrix: the normal, integrated over a common factor of the covariance whose prior is inverse gamma,
         ν/χ²_ν.
+    place : ndarray or None, shape (n_record, n_beam, n_gradient)
+        Where the beams measure, in the direction of each gradient of the stresses: a gradient c multiplies what the
+        stresses give a beam by exp(place · c). None if R is the same for all beams.
     """
 
     gain: FloatArray
     offset: FloatArray
     n_datum: NDArray[np.int64]
     dof: float
+    place: FloatArray | None
 
     @property
     def n_record(self) -> int:
@@ -48,23 +52,31 @@ class Likelihood(ABC):
         return len(self.gain)
 
     @abstractmethod
-    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
 
         `offset`, shape (n_record, n_draw), is the variance of instrument noise (m² s⁻²) that each draw adds to all
-        beams. A tensor that gives a beam no variance, or a negative one, has likelihood zero.
+        beams; `gradient`, shape (n_record, n_draw, n_gradient), makes the stresses differ from beam to beam by the
+        factors exp(place · gradient). A tensor that gives a beam no variance, or a negative one, has likelihood zero.
         """
 
     @abstractmethod
-    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return residuals, shape (n_record, n_draw, n_seen): half their square has the curvature of −log_density.
 
         The sum of their squares, halved, is −log_density but for a constant, or the logarithm of a determinant.
         """
 
-    def expected(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def expected(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the expected variances of the beams, shape (n_record, n_draw, n_beam), m² s⁻²."""
-        return expected_variance(stress, offset, self.gain, self.offset)
+        mean = expected_signal(stress, self.gain, self.place, gradient) + self.offset[:, None, :]
+        return np.asarray(mean if offset is None else mean + offset[:, :, None])
 
     def take(self, records: NDArray[np.int64]) -> Self:
         """Return the likelihood of some of the records."""
@@ -74,12 +86,14 @@ class Likelihood(ABC):
         return cast("Self", replace(whole, **arrays))
 
 
-def expected_variance(
-    stress: FloatArray, offset: FloatArray | None, gain: FloatArray, own_offset: FloatArray
+def expected_signal(
+    stress: FloatArray, gain: FloatArray, place: FloatArray | None, gradient: FloatArray | None
 ) -> FloatArray:
-    """Return gain · stress + own_offset (+ offset), shape (n_record, n_draw, n_beam)."""
-    mean = stress @ gain.swapaxes(-1, -2) + own_offset[:, None, :]
-    return np.asarray(mean if offset is None else mean + offset[:, :, None])
+    """Return gain · stress (times exp(place · gradient)), shape (n_record, n_draw, n_beam): what is not noise."""
+    mean = np.asarray(stress @ gain.swapaxes(-1, -2))
+    if place is not None and gradient is not None:
+        mean *= np.exp(gradient @ place.swapaxes(-1, -2))
+    return mean
 
 
 @dataclass(frozen=True)
@@ -94,20 +108,32 @@ class BeamData:
         Which variances count.
     variance : ndarray, shape (n_record, n_beam)
         Radial variances, m² s⁻²; 1 for beams that a record does not use.
+    place : ndarray or None
+        As in `Likelihood`; rows of beams that a record does not use are zero.
     """
 
     gain: FloatArray
     offset: FloatArray
     used: NDArray[np.bool_]
     variance: FloatArray
+    place: FloatArray | None = None
 
     def relative_covariance(self, covariance: FloatArray) -> FloatArray:
         """Return K with zeros for beams that are not used."""
         return np.where(self.used[:, :, None] & self.used[:, None, :], covariance, 0.0)
 
+    def seen_directions(self, scale: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return what of the data stresses and gradients can move, where E[y] is `scale`; see `seen_directions`."""
+        relative = self.gain / scale[:, :, None]
+        return seen_directions(relative if self.place is None else np.concatenate([relative, self.place], axis=-1))
+
 
 def beam_data(
-    variance: FloatArray, used: NDArray[np.bool_], gain: FloatArray, offset: FloatArray | float = 0.0
+    variance: FloatArray,
+    used: NDArray[np.bool_],
+    gain: FloatArray,
+    offset: FloatArray | float = 0.0,
+    place: FloatArray | None = None,
 ) -> BeamData:
     """Check variances, and mask what is not used.
 
@@ -131,6 +157,7 @@ def beam_data(
         offset=np.where(used, np.broadcast_to(np.asarray(offset, dtype=np.float64), variance.shape), 1.0),
         used=used,
         variance=np.where(used, variance, 1.0),
+        place=None if place is None else np.where(used[:, :, None], place, 0.0),
     )
 
 
@@ -140,7 +167,7 @@ def seen_directions(relative_gain: FloatArray) -> tuple[FloatArray, NDArray[np.b
     Parameters
     ----------
     relative_gain : ndarray, shape (n_record, n_beam, 6)
-        ∂ ln E[y]/∂R at some R.
+        ∂ ln E[y]/∂R at some R; more columns for what else moves ln E[y].
 
     Returns
     -------

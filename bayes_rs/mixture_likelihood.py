@@ -35,25 +35,30 @@ class MixtureLikelihood(Likelihood):
     offset: FloatArray = field(init=False)
     n_datum: NDArray[np.int64] = field(init=False)
     dof: float = field(init=False)
+    place: FloatArray | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Take what all likelihoods have from the middle part."""
         middle = self.parts[len(self.parts) // 2]
-        for name in ("gain", "offset", "n_datum", "dof"):
+        for name in ("gain", "offset", "n_datum", "dof", "place"):
             object.__setattr__(self, name, getattr(middle, name))
 
-    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
-        return np.asarray(logsumexp(self._joint(stress, offset), axis=0))
+        return np.asarray(logsumexp(self._joint(stress, offset, gradient), axis=0))
 
-    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the parts' residuals, each shortened by the root of the part's probability given the stresses."""
-        joint = self._joint(stress, offset)
+        joint = self._joint(stress, offset, gradient)
         with np.errstate(invalid="ignore"):
             share = np.exp(0.5 * (joint - logsumexp(joint, axis=0)))
         return np.concatenate(
             [
-                part.whitened_residual(stress, offset) * root[..., None]
+                part.whitened_residual(stress, offset, gradient) * root[..., None]
                 for part, root in zip(self.parts, share, strict=True)
             ],
             axis=-1,
@@ -63,7 +68,7 @@ class MixtureLikelihood(Likelihood):
         """Return the likelihood of some of the records."""
         return MixtureLikelihood(tuple(part.take(records) for part in self.parts), self.weight)
 
-    def _joint(self, stress: FloatArray, offset: FloatArray | None) -> FloatArray:
+    def _joint(self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None) -> FloatArray:
         """Return ln w_j + ln p(y | R, j), shape (n_part, n_record, n_draw)."""
-        density = np.stack([part.log_density(stress, offset) for part in self.parts])
+        density = np.stack([part.log_density(stress, offset, gradient) for part in self.parts])
         return np.asarray(density + np.log(self.weight)[:, None, None])

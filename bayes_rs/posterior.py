@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.likelihood import Likelihood
-from bayes_rs.nuisance import RecordNuisances
+from bayes_rs.nuisance import RecordNuisances, Seen
 from bayes_rs.prior import Prior
 
 
@@ -49,11 +49,11 @@ class Posterior:
         """Return the sampled nuisances by name, each (n_record, n_draw), of coordinates (n_record, n_draw, n)."""
         return self.nuisances.values(coordinate[..., self.prior.n_coordinate :])
 
-    def seen(self, coordinate: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Return what the likelihood takes at coordinates (n_record, n_draw, n): stresses, and uncertain noise."""
+    def seen(self, coordinate: FloatArray) -> Seen:
+        """Return what the likelihood takes at coordinates (n_record, n_draw, n)."""
         stress = self.stress(coordinate)
         if self.nuisances.n_coordinate == 0:
-            return stress, None
+            return Seen(stress)
         return self.nuisances.apply(stress, coordinate[..., self.prior.n_coordinate :])
 
     def log_prior(self, coordinate: FloatArray) -> FloatArray:
@@ -66,8 +66,7 @@ class Posterior:
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-posterior up to a constant of the record, (n_record, n_draw), at (n_record, n_draw, n)."""
-        stress, offset = self.seen(coordinate)
-        return self.likelihood.log_density(stress, offset) + self.log_prior(coordinate)
+        return self.likelihood.log_density(*self.seen(coordinate)) + self.log_prior(coordinate)
 
     def take(self, records: NDArray[np.int64]) -> Posterior:
         """Return the posterior of some of the records."""

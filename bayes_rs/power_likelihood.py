@@ -14,10 +14,10 @@ from bayes_rs.likelihood_base import (
     Likelihood,
     beam_data,
     check_tails,
+    expected_signal,
     factor_reduced,
     half_square,
     log_normalizer,
-    seen_directions,
     unit_pivots,
     with_tails,
 )
@@ -35,7 +35,7 @@ class PowerLikelihood(Likelihood):
 
     Parameters
     ----------
-    gain, offset, n_datum, dof
+    gain, offset, n_datum, dof, place
         As in `Likelihood`.
     power : float
         p, 1 or 1/3.
@@ -81,31 +81,40 @@ class PowerLikelihood(Likelihood):
     seen: NDArray[np.bool_]
     n_datum: NDArray[np.int64]
     dof: float = np.inf
+    place: FloatArray | None = None
 
-    def log_density(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
-        residual, log_determinant = self._whiten(stress, offset)
+        residual, log_determinant = self._whiten(stress, offset, gradient)
         with np.errstate(invalid="ignore"):
             square = np.einsum("rds,rds->rd", residual, residual)
             density = log_normalizer(self.n_datum[:, None], log_determinant, self.dof)
             density = density - half_square(square, self.n_datum, self.dof)
         return np.where(np.isfinite(density), density, -np.inf)
 
-    def whitened_residual(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6).
 
         The determinant has no part in them: its logarithm is nearly linear in ln R, and adds no curvature.
         """
-        return with_tails(self._whiten(stress, offset)[0], self.n_datum, self.dof)
+        return with_tails(self._whiten(stress, offset, gradient)[0], self.n_datum, self.dof)
 
-    def _whiten(self, stress: FloatArray, offset: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def _whiten(
+        self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return whitened residuals (n_record, n_draw, n_seen) and log-determinants; NaN where m is not positive."""
         n_draw, n_root, n_seen = stress.shape[1], self.root.shape[2], self.left.shape[2]
         residual, log_determinant = np.empty((*stress.shape[:2], n_seen)), np.empty(stress.shape[:2])
         step = max(1, _NUMBERS // max(1, n_draw * n_root * n_seen))
         for start in range(0, self.n_record, step):
             part = slice(start, start + step)
-            mean = stress[part] @ self.gain[part].swapaxes(-1, -2) + self.offset[part, None, :]
+            place = None if self.place is None else self.place[part]
+            mean = expected_signal(stress[part], self.gain[part], place, None if gradient is None else gradient[part])
+            mean = mean + self.offset[part, None, :]
             if offset is not None:
                 mean = mean + offset[part, :, None]
             scale = np.where(mean > 0.0, mean / self.reference[part, None, :], np.nan) ** self.power
@@ -130,6 +139,7 @@ def power_likelihood(
     inflation: float = 1.0,
     dof: float = np.inf,
     reference: FloatArray | None = None,
+    place: FloatArray | None = None,
 ) -> PowerLikelihood:
     """Prepare the likelihood of powers of the variances of many records.
 
@@ -139,7 +149,7 @@ def power_likelihood(
         As in `log_normal_likelihood`.
     power : float
         1 or 1/3.
-    inflation, dof, reference
+    inflation, dof, reference, place
         As in `log_normal_likelihood`; `inflation` multiplies K.
 
     Returns
@@ -155,11 +165,11 @@ def power_likelihood(
         If the noise of the reduced data is singular at the reference shape.
     """
     check_tails(inflation, dof)
-    data = beam_data(variance, used, gain, offset)
+    data = beam_data(variance, used, gain, offset, place)
     centre, of_power = power_moments(inflation * data.relative_covariance(covariance), power)
     level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
     scale = np.where(used, level, 1.0)
-    left, seen = seen_directions(data.gain / scale[:, :, None])
+    left, seen = data.seen_directions(scale)
     reduced = left.swapaxes(-1, -2) @ of_power @ left
     factor_reduced(reduced, seen, variance.shape[1], what="covariance")
     root, sign = _signed_root(of_power, np.linalg.eigvalsh(reduced + unit_pivots(seen)).min(axis=1))
@@ -176,6 +186,7 @@ def power_likelihood(
         seen=seen,
         n_datum=seen.sum(axis=1).astype(np.int64),
         dof=float(dof),
+        place=data.place,
     )
 
 

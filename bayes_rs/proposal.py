@@ -131,12 +131,12 @@ def _curvature(posterior: Posterior, mode: FloatArray) -> tuple[FloatArray, Floa
     n = posterior.n_coordinate
     shift = _STEP * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
     around = mode[:, None, :] + shift
-    stress, offset = posterior.seen(around)
-    residual = posterior.likelihood.whitened_residual(stress, offset)
+    seen = posterior.seen(around)
+    residual = posterior.likelihood.whitened_residual(*seen)
     forward, backward = slice(1, n + 1), slice(n + 1, None)
     jacobian = (residual[:, forward] - residual[:, backward]) / (2.0 * _STEP)  # (record, n, seen)
     log_prior = posterior.log_prior(around)
-    height = posterior.likelihood.log_density(stress, offset) + log_prior
+    height = posterior.likelihood.log_density(*seen) + log_prior
     gradient = (height[:, forward] - height[:, backward]) / (2.0 * _STEP)
     bend = (log_prior[:, forward] + log_prior[:, backward] - 2.0 * log_prior[:, :1]) / _STEP**2
     precision = jacobian @ jacobian.swapaxes(-1, -2) + np.eye(n) * np.maximum(-bend, _LEAST_BEND)[:, None, :]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.forward import design_matrix
+from bayes_rs.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.interpolation import combine
 from bayes_rs.likelihood_base import REFERENCE_STRESS, seen_directions
 from bayes_rs.noise import NoiseBank
@@ -53,12 +54,15 @@ class ReducedNoise:
     ----------
     bank : NoiseBank
         Bank whose states form a net, of beams that see points.
+    gradients : sequence of str
+        Gradients of R that may move the data besides; see `gradient_columns`.
 
     Attributes
     ----------
     left : ndarray, shape (n_beam, n_seen)
         U, an orthonormal basis of the column space of ∂ ln E[y]/∂R at a reference tensor in the lidar's frame. Turning
-        the wind turns R and leaves this space as it is, so that one basis serves all records.
+        the wind turns R and leaves this space as it is, so that one basis serves all records. So it is with the
+        gradients, whose directions are the lidar's.
 
     Notes
     -----
@@ -67,11 +71,15 @@ class ReducedNoise:
     exact; between them the error is that of the interpolation, as it is for whole covariances.
     """
 
-    def __init__(self, bank: NoiseBank) -> None:
+    def __init__(self, bank: NoiseBank, gradients: tuple[str, ...] = ()) -> None:
         self.bank = bank
         self.direction = np.asarray(bank.scan_geometry["direction"], dtype=np.float64)
         level = design_matrix(self.direction)
-        left, seen = seen_directions((level / (level @ REFERENCE_STRESS)[:, None])[None])
+        moved = level / (level @ REFERENCE_STRESS)[:, None]
+        if gradients:
+            columns = gradient_columns(bank.scan_geometry, gradients)
+            moved = np.concatenate([moved, columns / GRADIENT_LENGTH], axis=-1)
+        left, seen = seen_directions(moved[None])
         self.left: FloatArray = np.ascontiguousarray(left[0][:, seen[0]])
         logarithm = [np.log1p(model.covariance) for model in bank.models]
         reduced = np.stack([self.left.T @ matrix @ self.left for matrix in logarithm])
@@ -105,6 +113,6 @@ class ReducedNoise:
 
 
 @lru_cache(maxsize=2)
-def reduced(bank: NoiseBank) -> ReducedNoise:
-    """Return the reduced bank; that of the same bank is made once."""
-    return ReducedNoise(bank)
+def reduced(bank: NoiseBank, gradients: tuple[str, ...] = ()) -> ReducedNoise:
+    """Return the reduced bank; that of the same bank and gradients is made once."""
+    return ReducedNoise(bank, gradients)

@@ -13,6 +13,7 @@ from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.likelihood import Likelihood, LogNormalLikelihood
 from bayes_rs.mixture_likelihood import MixtureLikelihood
 from bayes_rs.noise import SonicNoise
+from bayes_rs.nuisance import Seen
 from bayes_rs.posterior import Posterior
 from bayes_rs.sampling.chains import Chains, diagnose_stress
 from bayes_rs.sampling.streams import RecordStreams
@@ -253,12 +254,12 @@ def draw_sonic(
     n_record = len(chains.stress)
     every = np.arange(n_record)
     flat = chains.coordinate.reshape(n_record, -1, chains.coordinate.shape[-1])
-    stress, offset = posterior.seen(flat)
+    seen = posterior.seen(flat)
     normal = streams.normal(every, (flat.shape[1], len(_IDENTITY)))
     factor, clipped = np.empty(normal.shape), np.zeros(n_record)
-    chosen = _chosen_part(posterior.likelihood, stress, offset, streams)
+    chosen = _chosen_part(posterior.likelihood, seen, streams)
     for index, (part, moments) in enumerate(zip(parts, noise, strict=True)):
-        drawn, below = _drawn_factor(part, moments, stress, offset, normal, streams, inflation)
+        drawn, below = _drawn_factor(part, moments, seen, normal, streams, inflation)
         factor = np.where((chosen == index)[..., np.newaxis], drawn, factor)
         clipped = np.maximum(clipped, below)
     sonic = factored_tensor(chains.stress.reshape(*normal.shape), factor).reshape(chains.stress.shape)
@@ -283,8 +284,7 @@ def draw_sonic(
 def _drawn_factor(
     part: LogNormalLikelihood,
     noise: SonicNoise,
-    stress: FloatArray,
-    offset: FloatArray | None,
+    seen: Seen,
     normal: FloatArray,
     streams: RecordStreams,
     inflation: float,
@@ -296,7 +296,7 @@ def _drawn_factor(
     gain = np.einsum("rib,rsb->ris", factor.beam_covariance[state], part.whitening)
     own = factor.covariance[state]
     root, clipped = _checked_root(own - gain @ gain.swapaxes(-1, -2), own)
-    residual = replace(part, dof=np.inf).whitened_residual(stress, offset)
+    residual = replace(part, dof=np.inf).whitened_residual(*seen)
     scattered = normal @ root.swapaxes(-1, -2)
     if np.isfinite(part.dof):
         square = np.einsum("rds,rds->rd", residual, residual)
@@ -322,16 +322,14 @@ def _log_normal_parts(likelihood: Likelihood) -> tuple[LogNormalLikelihood, ...]
     return kept
 
 
-def _chosen_part(
-    likelihood: Likelihood, stress: FloatArray, offset: FloatArray | None, streams: RecordStreams
-) -> NDArray[np.int64]:
+def _chosen_part(likelihood: Likelihood, seen: Seen, streams: RecordStreams) -> NDArray[np.int64]:
     """Draw which part of a mixture each draw belongs to, shape (n_record, n_draw)."""
     if not isinstance(likelihood, MixtureLikelihood):
-        return np.zeros(stress.shape[:2], dtype=np.int64)
-    density = np.stack([part.log_density(stress, offset) for part in likelihood.parts])
+        return np.zeros(seen.stress.shape[:2], dtype=np.int64)
+    density = np.stack([part.log_density(*seen) for part in likelihood.parts])
     density += np.log(likelihood.weight)[:, np.newaxis, np.newaxis]
     below = np.cumsum(np.exp(density - density.max(axis=0)), axis=0)
-    level = below[-1] * streams.uniform(np.arange(len(stress)), stress.shape[1:2])
+    level = below[-1] * streams.uniform(np.arange(len(seen.stress)), seen.stress.shape[1:2])
     return np.asarray((below[:-1] <= level).sum(axis=0), dtype=np.int64)
 
 

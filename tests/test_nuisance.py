@@ -58,8 +58,9 @@ class TestLaws:
         stress = WeakPrior().draw(5, seed=2)
         nuisances = RecordNuisances(Nuisances(yaw_sd_deg=2.0, tilt_sd_deg=1.0), np.deg2rad([yaw]))
         coordinate = np.tile([yaw_error / 2.0, tilt_error / 1.0], (1, 5, 1))
-        turned, offset = nuisances.apply(stress[None], coordinate)
+        turned, offset, gradient = nuisances.apply(stress[None], coordinate)
         assert offset is None
+        assert gradient is None
         np.testing.assert_allclose(radial_variance(nominal, turned[0]), radial_variance(true, stress), rtol=1e-12)
 
     def test_a_mixture_is_the_weighted_sum_of_its_parts(self):
