@@ -1,0 +1,1 @@
+"""The report: one HTML page from the output folder of a fit."""

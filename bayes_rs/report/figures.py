@@ -1,0 +1,185 @@
+"""The numbers that the page's script draws, as plain JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.derived import lumley_coordinates
+from bayes_rs.fitting import MISFIT_LIMIT
+from bayes_rs.report.availability import Availability
+from bayes_rs.report.folder import FitFolder
+from bayes_rs.report.packing import pack, pack_rows, pack_steps, plain
+from bayes_rs.report.series import Series, time_axis
+from bayes_rs.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
+from bayes_rs.stress import STRESSES
+
+DRAW_BYTES = 2_400_000
+"""What the draws of all records may take of the page."""
+MOST_DRAWS = 600
+LEAST_DRAWS = 100
+MOST_TI_POINTS = 1000
+MOST_SHAPE_POINTS = 2000
+MOST_PICKED = 60_000
+"""Records up to which each can be picked: more than a year of ten minutes."""
+_PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i + 1, len(STRESSES))]
+
+
+def series_data(series: Series) -> dict[str, Any]:
+    """Return the points of the six panels."""
+    return {
+        "start": [round(value, 3) for value in series.start.tolist()],
+        "width": series.width,
+        "binned": series.binned,
+        "count": series.count.tolist(),
+        "failed": series.n_failed.tolist(),
+        "remarked": series.n_remarked.tolist(),
+        **{
+            name: plain(getattr(series, name).T)
+            for name in ("median", "low", "high", *(("spread_low", "spread_high") if series.binned else ()))
+        },
+    }
+
+
+def availability_data(availability: Availability, found: FitFolder) -> dict[str, Any]:
+    """Return the heat map of the beams."""
+    position, width, _ = time_axis(found)
+    ends = np.append(position, position[-1] + width)
+    return {
+        "beam": availability.beam,
+        "edges": [round(value, 3) for value in ends[availability.edges].tolist()],
+        "share": plain(availability.share, 3),
+        "usable": plain(availability.usable, 3),
+        "of_samples": availability.of_samples,
+    }
+
+
+def picked(found: FitFolder) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the records that can be picked: all, or evenly spaced ones of very many."""
+    n = len(found.record)
+    return np.unique(np.linspace(0, n - 1, min(n, MOST_PICKED)).round().astype(np.int64))
+
+
+def records_data(found: FitFolder) -> dict[str, Any]:
+    """Return the numbers of each record, and draws of its posterior as far as the page can hold them."""
+    rows = picked(found)
+    position, _, _ = time_axis(found)
+    columns = ("median", "hdi_low", "hdi_high", "mean", "sd")
+    numbers = np.stack([found.numbers[name][rows] for name in columns], axis=1)
+    sd = np.sqrt(np.einsum("rii->ri", found.covariance[rows]))
+    with np.errstate(invalid="ignore", divide="ignore"):  # records that were not fitted, or draws that are all equal
+        correlation = np.stack([found.covariance[rows, i, j] / (sd[:, i] * sd[:, j]) for i, j in _PAIRS], axis=1)
+    data: dict[str, Any] = {
+        "record": pack_steps(found.record[rows]),
+        "position": pack_steps(position[rows]),
+        "flag": pack(found.flag[rows], "u2"),
+        "speed": pack(found.wind_speed[rows], "f4"),
+        "numbers": pack_rows(numbers),
+        "correlation": pack(np.where(np.isfinite(correlation), np.rint(100.0 * correlation), -128), "i1"),
+        "first": int(np.argmax(found.fitted[rows])),
+    }
+    n_draw = min(MOST_DRAWS, DRAW_BYTES // (16 * len(found.record)))  # six 16-bit numbers, in base64
+    if found.draws is not None and n_draw >= LEAST_DRAWS and found.fitted.any():
+        draws = found.draws(n_draw)
+        data["draws"] = {"n": draws.shape[1], **pack_rows(draws)}
+        if found.prior_shape is not None:
+            data["prior"] = {"n": len(found.prior_shape), **pack_rows(found.prior_shape)}
+    return data
+
+
+def intensity_data(found: FitFolder) -> dict[str, Any] | None:
+    """Return turbulence intensity against wind speed; None if it is not known of any record."""
+    if "ti" not in found.derived:
+        return None
+    ti, speed = found.derived["ti"], found.wind_speed
+    rows = np.flatnonzero(np.isfinite(ti["median"]) & np.isfinite(speed))
+    if not len(rows):
+        return None
+    number = np.floor(speed[rows]).astype(np.int64)
+    bins = np.unique(number)
+    in_bins = [rows[number == one] for one in bins.tolist()]
+    data: dict[str, Any] = {
+        "bin": bins.tolist(),
+        "count": [len(some) for some in in_bins],
+        **{name: [_short(np.median(ti[name][some])) for some in in_bins] for name in ("median", "low", "high")},
+        "spread_low": [_short(np.quantile(ti["median"][some], 0.05)) for some in in_bins],
+        "spread_high": [_short(np.quantile(ti["median"][some], 0.95)) for some in in_bins],
+    }
+    if len(found.record) <= MOST_TI_POINTS:
+        data["points"] = {
+            "record": rows.tolist(),
+            "speed": plain(speed[rows]),
+            **{name: plain(ti[name][rows]) for name in ("median", "low", "high")},
+            "flagged": (found.flag[rows] != 0).astype(np.int64).tolist(),
+        }
+    return data
+
+
+def contraction_quantiles(found: FitFolder) -> dict[str, FloatArray]:
+    """Return the 5, 50 and 95 % points over the fitted records of both contractions, shape (6, 3)."""
+    return {
+        name: np.quantile(found.numbers[name][found.fitted], [0.05, 0.5, 0.95], axis=0).T
+        for name in ("contraction", "contraction_shape")
+    }
+
+
+def contraction_data(found: FitFolder) -> dict[str, Any] | None:
+    """Return the points of both contractions; None if no record was fitted."""
+    if not found.fitted.any():
+        return None
+    return {name: plain(points, 3) for name, points in contraction_quantiles(found).items()}
+
+
+def shape_data(found: FitFolder) -> dict[str, Any] | None:
+    """Return where the posterior means are in the Lumley triangle; None if no record was fitted."""
+    rows = np.flatnonzero(found.fitted)
+    if not len(rows):
+        return None
+    some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_SHAPE_POINTS)).round().astype(np.int64))
+    xi, eta = lumley_coordinates(found.numbers["mean"][rows[some]])
+    return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
+
+
+def worst_diagnostics(found: FitFolder) -> dict[str, FloatArray]:
+    """Return the worst value of each diagnostic over a record's stresses, shape (n_record,); NaN where it has none."""
+    return {
+        "ess_bulk": found.numbers["ess_bulk"].min(axis=1),
+        "ess_tail": found.numbers["ess_tail"].min(axis=1),
+        "r_hat": found.numbers["r_hat"].max(axis=1),
+        "pareto_k": np.where(np.isfinite(found.per_record["pareto_k"]), found.per_record["pareto_k"], np.nan),
+        "misfit": found.per_record["misfit"],
+    }
+
+
+def diagnostic_limits(found: FitFolder) -> dict[str, float | None]:
+    """Return the limits beyond which a record is flagged; None where there is none."""
+    target = found.run.get("target_ess", found.run.get("scene", {}).get("target_ess"))
+    return {
+        "ess_bulk": None if target is None else float(target),
+        "ess_tail": None,
+        "r_hat": R_HAT_LIMIT,
+        "pareto_k": PARETO_K_LIMIT,
+        "misfit": MISFIT_LIMIT,
+    }
+
+
+def diagnostics_data(found: FitFolder) -> list[dict[str, Any]]:
+    """Return a histogram over the records of each diagnostic that there is."""
+    limits = diagnostic_limits(found)
+    panels = []
+    for name, values in worst_diagnostics(found).items():
+        known = values[np.isfinite(values)]
+        if not len(known):
+            continue
+        low, high = float(known.min()), float(known.max())
+        if high - low <= 1e-9 * max(abs(high), 1.0):
+            low, high = low - 0.05 * max(abs(low), 0.1), high + 0.05 * max(abs(high), 0.1)
+        counts, edges = np.histogram(known, bins=24, range=(low, high))
+        panels.append({"name": name, "count": counts.tolist(), "edges": plain(edges, 6), "limit": limits[name]})
+    return panels
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.4g}") if np.isfinite(value) else None

@@ -1,0 +1,112 @@
+"""What the page says in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_rs.direction_table import direction_words
+from bayes_rs.report.folder import FitFolder
+from bayes_rs.report.tables import number
+from bayes_rs.stress import STRESSES
+
+FLAG_MEANINGS = {
+    "no_usable_beam": "every beam is flagged or has no variance; not fitted",
+    "no_wind": "no wind speed or direction; not fitted",
+    "beam_left_out": "at least one beam is not used",
+    "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
+    "short_chain": "some stress has fewer effective draws than asked for",
+    "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
+    "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
+    "contradicts_model": "a beam is far from what the posterior predicts for it",
+    "not_stationary": "the record has a trend, or its parts differ",
+    "low_wind": "the mean wind is below the limit of the record checks",
+    "likelihood_failed": "the likelihood could not be calculated; not fitted",
+}
+"""What each flag of a result means, in short; docs/diagnostics.md says what to do."""
+
+DIAGNOSTIC_WORDS = {
+    "ess_bulk": "bulk ESS, least of the six",
+    "ess_tail": "tail ESS, least of the six",
+    "r_hat": "R-hat, largest of the six",
+    "pareto_k": "Pareto k",
+    "misfit": "misfit, standard deviations",
+}
+
+
+def when(found: FitFolder, index: int) -> str:
+    """Name a record by its start, or by its number where it has none."""
+    start = found.time[index]
+    return f"record {found.record[index]}" if np.isnat(start) else stamp(start)
+
+
+def stamp(time: np.datetime64) -> str:
+    """Write a time to the minute, or to the second where it is not on one."""
+    text = np.datetime_as_string(time, unit="s").replace("T", " ")
+    return text.removesuffix(":00")
+
+
+def period(found: FitFolder) -> str:
+    """Say from when to when the records start; empty if they have no times."""
+    known = found.time[~np.isnat(found.time)]
+    if not len(known):
+        return ""
+    first, last = known.min(), known.max()
+    return f"{stamp(first)} UTC" if first == last else f"{stamp(first)} to {stamp(last)} UTC"
+
+
+def median_words(found: FitFolder) -> str:
+    """Return the medians over the records of each stress's posterior median, in one line."""
+    middle = np.median(found.numbers["median"][found.fitted], axis=0)
+    return ", ".join(f"{name} {number(value)}" for name, value in zip(STRESSES, middle, strict=True))
+
+
+def contraction_words(found: FitFolder) -> list[str]:
+    """Say what the beams see, what the prior was, and which of the two decided each stress."""
+    lines = []
+    if found.sight:
+        lines.append(f"The scan {found.sight}.")
+    if found.prior:
+        lines.append(f"Prior: {found.prior}.")
+    middle = np.median(found.numbers["contraction_shape"][found.fitted], axis=0)
+    data = [name for name, value in zip(STRESSES, middle, strict=True) if value > 0.5]
+    prior = [name for name in STRESSES if name not in data]
+    share = "With the size taken out, the data removed {} of the prior's variance in the median record of: {}."
+    if data:
+        lines.append(share.format("more than half", ", ".join(data)))
+    if prior:
+        lines.append(share.format("less than half", ", ".join(prior)))
+    if found.directions is not None:
+        lines += _direction_words(found)
+    return lines
+
+
+def direction_rows(found: FitFolder) -> list[tuple[str, ...]]:
+    """Return a row for each direction of R: words, weight, seen or not, and both contractions in the median record."""
+    if found.directions is None:
+        return []
+    columns = ["weight", "contraction", "contraction_shape", *STRESSES]
+    along = found.directions.groupby("direction")[columns].median()
+    return [
+        (
+            direction_words(row[list(STRESSES)].to_numpy(dtype=np.float64)),
+            number(row["weight"]),
+            "yes" if row["weight"] > 0.0 else "no",
+            number(row["contraction"], 2),
+            number(row["contraction_shape"], 2),
+        )
+        for _, row in along.iterrows()
+    ]
+
+
+def _direction_words(found: FitFolder) -> list[str]:
+    rows = direction_rows(found)
+    unseen = [row for row in rows if row[2] == "no"]
+    if not unseen:
+        return [
+            f"Of the six directions of R the beams see all; worst {rows[-1][0]}, contraction of shape {rows[-1][4]}."
+        ]
+    return [
+        f"Of the six directions of R no beam sees {len(unseen)}: "
+        + "; ".join(f"{row[0]} (contraction of shape {row[4]})" for row in unseen)
+        + ". What the page says of them is the prior's, and what follows from the others."
+    ]
