@@ -12,6 +12,7 @@ from bayes_rs.cli.design_commands import compare_command, optimize, trade_off_co
 from bayes_rs.cli.fit_commands import corner, fit, sensitivity
 from bayes_rs.cli.report_command import report
 from bayes_rs.cli.spectra_command import spectra
+from bayes_rs.cli.wind_command import wind
 
 EXIT_BAD_INPUT = 2
 
@@ -61,6 +62,7 @@ for command in (
     corner,
     report,
     spectra,
+    wind,
     compare_command,
     optimize,
     trade_off_command,

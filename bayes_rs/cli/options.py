@@ -132,6 +132,19 @@ record_options = _together(
     click.option("--half-ratio-limit", type=float, help="Ratio of the halves' variances that is remarked on."),
     click.option("--min-wind-speed", type=float, help="Mean wind speed below which a record is remarked on, m/s."),
     click.option(
+        "--motion",
+        type=click.Path(path_type=Path),
+        multiple=True,
+        help="File with the lidar's own tilt and roll over time, for each record's own attitude; several.",
+    ),
+    click.option(
+        "--motion-column",
+        "motion_columns",
+        multiple=True,
+        metavar="OURS=THEIRS",
+        help="Its columns, as time=Timestamp or tilt_deg=Tilt.",
+    ),
+    click.option(
         "--exclude",
         multiple=True,
         type=click.Choice(["not_stationary", "low_wind"]),
@@ -264,6 +277,18 @@ def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Da
     made = make_records(series, scan, **record_choices(options))
     for line in describe_report(made):
         click.echo(line, err=True)
+    if options["motion"]:
+        from bayes_rs.wind.motion import read_motion, with_motion
+
+        motion = read_motion(
+            list(options["motion"]),
+            columns=_pairs(options["motion_columns"], "--motion-column"),
+            **{name: options[name] for name in ("time_zone", "separator", "decimal") if options[name] is not None},
+            invalid=options["invalid"],
+        )
+        made = with_motion(made, motion, scan)
+        without = int((made["motion_count"] == 0).sum())
+        click.echo(f"tilt and roll from {len(options['motion'])} files; {without} records without", err=True)
     return made
 
 

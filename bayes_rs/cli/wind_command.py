@@ -1,0 +1,60 @@
+"""The command that says what the mean wind was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bayes_rs.cli.options import read_or_make_records, reading_options, record_options, scan_options
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@scan_options
+@reading_options
+@record_options
+@click.option(
+    "--turbulence", default="fu-2022", show_default=True, help="Turbulence that makes the beams' means uncertain."
+)
+@click.option("--heading", "heading_deg", type=float, help="Where the lidar looks, degrees clockwise from north.")
+@click.option("--hub-height", type=float, help="Height of the lidar above the ground, m; with it a profile is fitted.")
+@click.option(
+    "--law",
+    type=click.Choice(["power", "log", "linear"]),
+    default="power",
+    show_default=True,
+    help="Profile of the mean wind, with --hub-height.",
+)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="CSV file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+    """Mean wind speed, direction and shear of every record, each with its standard deviation.
+
+    FILES are radial velocities, or records that `bayes-rs records` wrote.
+    """
+    from bayes_rs.mann import load_turbulence
+    from bayes_rs.output import output_file
+    from bayes_rs.wind.mean_vector import mean_wind
+    from bayes_rs.wind.profile import wind_profile
+
+    with output_file(output, overwrite=overwrite) as part:
+        made, scan = read_or_make_records(files, options)
+        flow = load_turbulence(options["turbulence"])
+        found = mean_wind(made, scan, turbulence=flow, heading_deg=options["heading_deg"])
+        names = ["wind_speed", "wind_speed_sd", "yaw", "yaw_sd", *(["wind_direction"] * ("wind_direction" in found))]
+        table = found[names].to_dataframe()[names]
+        if "time" in found.coords:
+            table.insert(0, "time", found["time"].values)
+        if options["hub_height"] is not None:
+            profile = wind_profile(made, scan, turbulence=flow, hub_height=options["hub_height"], law=options["law"])
+            for name in profile.data_vars:
+                if profile[name].dims == ("record",):
+                    table[f"profile_{name}"] = profile[name].values
+        table.to_csv(part, index_label="record", date_format="%Y-%m-%dT%H:%M:%S")
+    middle = table[["wind_speed_sd", "yaw_sd"]].median()
+    click.echo(
+        f"{len(table)} records; median standard deviation of the wind speed {middle['wind_speed_sd']:.2f} m/s, of its "
+        f"direction {middle['yaw_sd']:.1f}°; table in {output}"
+    )

@@ -1,0 +1,123 @@
+"""Commands and options for field data: wind, quality rules, motion, gradients."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import bayes_rs as brs
+from bayes_rs.cli import commands
+
+SCAN = "6-beam"
+ANGLE = ("--scan", SCAN, "--opening-angle", "45", "--focus-distance", "52")
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return brs.load_scan(SCAN, opening_angle_deg=45.0, focus_distance=52.0)
+
+
+@pytest.fixture(scope="module")
+def series(scan):
+    return brs.simulate(scan, brs.load_turbulence("fu-2022"), wind_speed=10.0, n_records=3, seed=4, shear=0.02)
+
+
+@pytest.fixture(scope="module")
+def file(series, tmp_path_factory):
+    path = tmp_path_factory.mktemp("field") / "day.csv"
+    frame = series.to_dataframe().reset_index(drop=True)[["time", "beam", "radial_velocity"]]
+    frame["radial_velocity"] = frame["radial_velocity"].round(4)
+    frame.to_csv(path, index=False, date_format="%Y-%m-%dT%H:%M:%S.%f")
+    return path
+
+
+def run(*words):
+    return CliRunner().invoke(commands, [str(word) for word in words])
+
+
+class TestWind:
+    def test_table_is_that_of_the_functions(self, file, scan, tmp_path):
+        out = tmp_path / "wind.csv"
+        done = run("wind", file, *ANGLE, "--heading", 350, "--hub-height", 80, "-o", out)
+        assert done.exit_code == 0, done.output
+        table = pd.read_csv(out, parse_dates=["time"])
+        records = brs.make_records(brs.read_radial_velocity(file, scan), scan)
+        flow = brs.load_turbulence("fu-2022")
+        wind = brs.mean_wind(records, scan, turbulence=flow, heading_deg=350.0)
+        for name in ("wind_speed", "wind_speed_sd", "yaw", "yaw_sd", "wind_direction"):
+            np.testing.assert_allclose(table[name], wind[name], rtol=1e-12)
+        profile = brs.wind_profile(records, scan, turbulence=flow, hub_height=80.0)
+        np.testing.assert_allclose(table["profile_shear_exponent"], profile["shear_exponent"], rtol=1e-12)
+        assert (table["time"] == records["time"].values).all()
+        assert "3 records" in done.output
+
+    def test_without_a_hub_height_there_is_no_profile(self, file, tmp_path):
+        assert run("wind", file, *ANGLE, "-o", tmp_path / "wind.csv").exit_code == 0
+        assert not any(name.startswith("profile") for name in pd.read_csv(tmp_path / "wind.csv").columns)
+
+
+class TestRecords:
+    def test_quality_rules_reach_the_records(self, file, scan, tmp_path):
+        out = tmp_path / "records.nc"
+        rules = ("--velocity-range", -100, 0, "--min-wind-speed", 50, "--trend-level", 0.01, "--exclude", "low_wind")
+        done = run("records", file, *ANGLE, *rules, "-o", out)
+        assert done.exit_code == 0, done.output
+        records = xr.load_dataset(out)
+        expected = brs.make_records(
+            brs.read_radial_velocity(file, scan),
+            scan,
+            quality=brs.QualityRules(
+                velocity_range=(-100.0, 0.0), min_wind_speed=50.0, trend_level=0.01, exclude=["low_wind"]
+            ),
+        )
+        np.testing.assert_array_equal(records["flag"], expected["flag"])
+        assert (records["flag"] > 0).all()  # all wind is below 50 m/s
+        assert "trend_p_value" in records
+
+    def test_motion_gives_each_record_its_own_tilt(self, file, series, tmp_path):
+        motion = tmp_path / "motion.csv"
+        time = np.unique(series["time"].values)[::60]
+        tilt = np.where(np.arange(len(time)) < len(time) // 3, 1.0, 3.0)
+        pd.DataFrame({"Timestamp": time, "Tilt": tilt, "Roll": 0.5}).to_csv(motion, index=False)
+        out = tmp_path / "records.nc"
+        columns = [
+            word for pair in ("time=Timestamp", "tilt_deg=Tilt", "roll_deg=Roll") for word in ("--motion-column", pair)
+        ]
+        done = run("records", file, *ANGLE, "--motion", motion, *columns, "-o", out)
+        assert done.exit_code == 0, done.output
+        np.testing.assert_allclose(xr.load_dataset(out)["tilt"], [1.0, 3.0, 3.0], atol=0.1)
+        np.testing.assert_allclose(xr.load_dataset(out)["roll"], 0.5, rtol=1e-12)
+        assert "tilt and roll from 1 files; 0 records without" in done.output
+
+
+class TestFit:
+    def test_gradients_reach_the_posterior(self, file, tmp_path):
+        done = run(
+            "fit",
+            file,
+            *ANGLE,
+            "--vertical-gradient-sd",
+            0.3,
+            "--sampler",
+            "direct",
+            "--ess",
+            200,
+            "-o",
+            tmp_path / "out",
+        )
+        assert done.exit_code == 0, done.output
+        result = brs.open_result(tmp_path / "out")
+        assert "vertical_gradient" in result["posterior"]
+        spread = result["posterior"]["vertical_gradient"].std().item()
+        assert 0.1 < spread < 0.5
+
+    def test_noise_of_the_records_has_to_be_there(self, file, tmp_path):
+        done = run("fit", file, *ANGLE, "--instrument-noise", "records", "-o", tmp_path / "out")
+        assert isinstance(done.exception, brs.InputError)
+        assert "The records have no instrument_noise" in str(done.exception)
+
+    def test_a_word_that_is_no_noise(self, file, tmp_path):
+        done = run("fit", file, *ANGLE, "--instrument-noise", "much", "-o", tmp_path / "out")
+        assert done.exit_code == 2
+        assert "'much' must be a number, m² s⁻², or the word records." in done.output
