@@ -71,6 +71,8 @@ class _Beam(_Table):
     sideways_deg: Angle | None = None
     upwards_deg: Angle | None = None
     vector: tuple[Angle, Angle, Angle] | None = None
+    focus_distance: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
+    time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
 
     @field_validator("vector")
     @classmethod
@@ -95,11 +97,11 @@ class _Beam(_Table):
 
 
 class _ListedBeams(_Table):
-    """Beams written one by one."""
+    """Beams written one by one, with the focus distances of all (planes) or of each, and times if not even."""
 
     pattern: Literal["list"]
     beam: Annotated[list[_Beam], Field(min_length=1)]
-    focus_distance: Distances
+    focus_distance: Distances | None = None
 
     def directions(self) -> FloatArray:
         return np.array([beam.direction() for beam in self.beam])
@@ -308,11 +310,12 @@ def _validate(table: dict[str, Any], path: Path) -> _ScanFile:
 
 def _build(name: str, spec: _ScanFile) -> Scan:
     directions = spec.beams.directions()
-    n_beam, n_plane = len(directions), len(spec.beams.focus_distance)
+    distances, own_times = _distances(name, spec.beams), _own_values(name, spec.beams, "time")
+    n_beam, n_plane = len(directions), len(distances)
     if n_beam == 0:
         raise InputError(f"Scan {name!r} has no beam: beams.count is 0 and beams.centre is false.")
     step = spec.timing.scan_duration / n_beam
-    times = step * np.arange(n_beam)
+    times = step * np.arange(n_beam) if own_times is None else own_times
     if spec.timing.planes == "sequential":  # a plane is scanned before the next one is focused
         duration = spec.timing.scan_duration * n_plane
         all_times = np.concatenate([times + plane * spec.timing.scan_duration for plane in range(n_plane)])
@@ -326,7 +329,7 @@ def _build(name: str, spec: _ScanFile) -> Scan:
     return Scan(
         name=name,
         beam_direction=np.tile(directions, (n_plane, 1)),
-        focus_distance=np.repeat(np.asarray(spec.beams.focus_distance), n_beam),
+        focus_distance=np.concatenate([np.broadcast_to(plane, n_beam) for plane in distances]),
         beam_time=all_times,
         scan_duration=duration,
         beam=numbers,
@@ -337,6 +340,40 @@ def _build(name: str, spec: _ScanFile) -> Scan:
         file_format=spec.file.model_dump(exclude_none=True),
         probe=make_probe(**spec.probe.model_dump()),
     )
+
+
+def _distances(name: str, beams: _ConeBeams | _RosetteBeams | _ListedBeams) -> list[FloatArray]:
+    """Return the focus distance of each plane, one for all of its beams or one each."""
+    own, common = _own_values(name, beams, "focus_distance"), beams.focus_distance
+    if own is not None and common is not None:
+        raise InputError(
+            f"Scan {name!r} gives focus_distance both for all beams and for each of them: give one of the two."
+        )
+    if own is not None:
+        return [own]
+    if common is None:
+        raise InputError(
+            f"Scan {name!r} has no focus_distance: give beams.focus_distance, or one in each of beams.beam."
+        )
+    return [np.asarray(distance) for distance in common]
+
+
+def _own_values(
+    name: str, beams: _ConeBeams | _RosetteBeams | _ListedBeams, key: Literal["focus_distance", "time"]
+) -> FloatArray | None:
+    """Return what each beam of a list gives for itself; None if none does."""
+    if not isinstance(beams, _ListedBeams):
+        return None
+    values = [getattr(beam, key) for beam in beams.beam]
+    given = [value is not None for value in values]
+    if not any(given):
+        return None
+    if not all(given):
+        raise InputError(
+            f"Beam {beams.beam[given.index(False)].id} of scan {name!r} has no {key}, and others have: "
+            "give it to all of them or to none."
+        )
+    return np.array(values, dtype=np.float64)
 
 
 def _upward_direction(opening_angle: FloatArray, phase: FloatArray) -> FloatArray:

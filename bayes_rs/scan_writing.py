@@ -24,8 +24,8 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
     Parameters
     ----------
     scan : Scan
-        A scan whose beams share its time equally. Several focus distances must be measurement planes: all beams at the
-        first distance, then the same beams at the next.
+        The scan. Measurement planes (all beams at the first distance, then the same beams at the next) and beams that
+        share the scan's time equally are written as such; else each beam gets its own focus distance and time.
     path : str or Path
         The file, with the ending ``.toml``. Its stem is the name that the scan has when it is read.
     overwrite : bool
@@ -39,7 +39,7 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
     Raises
     ------
     InputError
-        If the ending is another, the file exists, or a scan file cannot hold the scan's timing, planes or numbers.
+        If the ending is another, or the file exists.
 
     Examples
     --------
@@ -61,27 +61,31 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
 
 def scan_text(scan: Scan) -> str:
     """Return the text of a scan file; see `save_scan`."""
-    direction, distances = _planes(scan)
-    n_beam, n_plane = len(direction), len(distances)
-    order, period = _timing(scan, n_beam, n_plane)
-    if n_plane > 1 and not np.array_equal(scan.beam, np.arange(scan.n_beam)):
-        raise InputError(
-            f"Cannot write scan {scan.name!r}: beams of several planes are numbered 0, 1, 2 … in a file, and these are "
-            f"{scan.beam.tolist()}; number them so."
-        )
+    planes = _planes(scan)
     lines = [f"title = {_value(scan.title or scan.name)}", f"source = {_value(scan.source or 'not given')}", ""]
-    lines += ["[beams]", 'pattern = "list"', f"focus_distance = {_value(distances.tolist())}", ""]
-    for number, vector in zip(scan.beam[:n_beam].tolist(), direction.tolist(), strict=True):
+    lines += ["[beams]", 'pattern = "list"']
+    if planes is not None:
+        n_beam, distances, order, period = planes
+        lines += [f"focus_distance = {_value(distances.tolist())}", ""]
+    else:
+        n_beam, distances, order, period = scan.n_beam, scan.focus_distance[:1], "", scan.scan_duration
+        lines += [""]
+    for index, vector in enumerate(scan.beam_direction[:n_beam].tolist()):
         opening = float(np.rad2deg(np.arctan2(np.hypot(vector[1], vector[2]), -vector[0])))
         phase = float(np.rad2deg(np.arctan2(vector[2], vector[1])) % 360.0)
         lines += [
             f"[[beams.beam]]  # {opening:.2f} degrees from -x, its projection {phase:.2f} degrees from y",
-            f"id = {number}",
+            f"id = {int(scan.beam[index])}",
             f"vector = {_value(vector)}",
-            "",
         ]
+        if planes is None:
+            lines += [
+                f"focus_distance = {_value(float(scan.focus_distance[index]))}",
+                f"time = {_value(float(scan.beam_time[index]))}",
+            ]
+        lines += [""]
     lines += ["[timing]", f"scan_duration = {_value(period)}"]
-    lines += [f'planes = "{order}"', ""] if n_plane > 1 else [""]
+    lines += [f'planes = "{order}"', ""] if len(distances) > 1 else [""]
     if scan.tilt or scan.yaw:
         lines += ["[mounting]", f"tilt_deg = {_value(float(np.rad2deg(scan.tilt)))}"]
         lines += [f"yaw_deg = {_value(float(np.rad2deg(scan.yaw)))}", ""]
@@ -92,32 +96,26 @@ def scan_text(scan: Scan) -> str:
     return "\n".join(lines)
 
 
-def _planes(scan: Scan) -> tuple[FloatArray, FloatArray]:
-    """Return the directions of one plane, and the focus distances of all."""
+def _planes(scan: Scan) -> tuple[int, FloatArray, str, float] | None:
+    """Return the beams of a plane, the planes' distances, how planes follow each other, and the file's duration.
+
+    None if beams have their own distances or times, or planes have other numbers than 0, 1, 2 …
+    """
     distance = scan.focus_distance
     n_beam = int(np.argmax(np.abs(distance - distance[0]) > _SAME)) or scan.n_beam
     n_plane, rest = divmod(scan.n_beam, n_beam)
-    whole = scan.beam_direction[: n_plane * n_beam].reshape(n_plane, n_beam, 3)
-    by_plane = distance[: n_plane * n_beam].reshape(n_plane, n_beam)
-    if rest or np.max(np.abs(whole - whole[0])) > _SAME or np.max(np.abs(by_plane - by_plane[:, :1])) > _SAME:
-        raise InputError(
-            f"Cannot write scan {scan.name!r}: its focus distances {distance.tolist()} are not planes, all beams at "
-            "one distance and then the same beams at the next; write one file for each distance."
-        )
-    return whole[0], by_plane[:, 0]
-
-
-def _timing(scan: Scan, n_beam: int, n_plane: int) -> tuple[str, float]:
-    """Return how planes follow each other, and the file's duration: of one plane, if they are sequential."""
+    if rest or (n_plane > 1 and not np.array_equal(scan.beam, np.arange(scan.n_beam))):
+        return None
+    direction = scan.beam_direction.reshape(n_plane, n_beam, 3)
+    by_plane = distance.reshape(n_plane, n_beam)
+    if np.max(np.abs(direction - direction[0])) > _SAME or np.max(np.abs(by_plane - by_plane[:, :1])) > _SAME:
+        return None
     step = scan.scan_duration / n_beam
     if np.max(np.abs(scan.beam_time - np.tile(step * np.arange(n_beam), n_plane))) < _SAME:
-        return "simultaneous", scan.scan_duration
+        return n_beam, by_plane[:, 0], "simultaneous", scan.scan_duration
     if np.max(np.abs(scan.beam_time - step / n_plane * np.arange(scan.n_beam))) < _SAME:
-        return "sequential", scan.scan_duration / n_plane
-    raise InputError(
-        f"Cannot write scan {scan.name!r}: in a file the beams share the scan's {scan.scan_duration:g} s equally, and "
-        f"these are at {scan.beam_time.tolist()} s; give it other times."
-    )
+        return n_beam, by_plane[:, 0], "sequential", scan.scan_duration / n_plane
+    return None
 
 
 def _value(value: Any) -> str:

@@ -16,6 +16,15 @@ def iea_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
+def six_beam_hour() -> Path:
+    """File of the measured hour of a six-beam scan, which is not copied into the project."""
+    folder = Path(__file__).parents[1].parent / "shared" / "data" / "six-beam-hour"
+    if not folder.is_dir():
+        pytest.skip(f"NOT TESTED ON MEASURED DATA: no folder {folder}, see ../shared/data/six-beam-hour/README.md")
+    return folder / "wls200s_sixbeam_20210513T12.nc"
+
+
+@pytest.fixture(scope="session")
 def arviz():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported

@@ -1,0 +1,153 @@
+"""WindCube scanning lidars: NetCDF files with one or many rays, as the instrument writes them or flattened."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.ray_variables import (
+    decode_times,
+    join_rays,
+    open_groups,
+    open_netcdf,
+    own_names,
+    rays_from,
+    text_of,
+)
+from bayes_rs.readers.rays import Rays
+from bayes_rs.readers.samples import Samples
+from bayes_rs.scan import Scan
+
+NAMES = {
+    "radial_velocity": "radial_wind_speed",
+    "time": "time",
+    "azimuth": "azimuth",
+    "elevation": "elevation",
+    "distance": "range",
+    "cnr": "cnr",
+    "status": "radial_wind_speed_status",
+}
+STATUS_VALID = 1.0
+"""``radial_wind_speed_status`` of an accepted velocity; 0 is rejected."""
+
+_SECONDS = {"ms": 1e-3, "millisecond": 1e-3, "milliseconds": 1e-3, "s": 1.0, "second": 1.0, "seconds": 1.0}
+_REFERENCE = "time_reference"
+
+
+def recognises_windcube(file: Path) -> bool:
+    """Say whether a file is a WindCube's, by its variables: in the root or in the groups that the root lists."""
+    try:
+        root = open_netcdf(file)
+    except InputError:
+        return False
+    if "sweep_group_name" in root.variables:
+        return True
+    return {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")} <= set(root.variables)
+
+
+def read_windcube(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
+    """Read the samples of a scan's beams from one file; see `windcube_rays`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or no ray looks along a beam of the scan.
+    """
+    return match_rays(
+        windcube_rays(file, file_format),
+        scan,
+        angle_tolerance_deg=file_format.angle_tolerance_deg,
+        range_tolerance=file_format.range_tolerance,
+    )
+
+
+def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
+    """Return the rays of one file.
+
+    Parameters
+    ----------
+    file : Path
+        A NetCDF file of a scanning WindCube (100S, 200S, 400S): CfRadial-like, with a group for each sweep that the
+        root's ``sweep_group_name`` lists, or all variables in the root.
+    file_format : FileFormat
+        The reader's options. The status of a good sample is 1 if they do not say.
+
+    Returns
+    -------
+    rays : Rays
+        The file stamps a ray at its end; times go to its start where the file says how long it took.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a variable is missing or cannot be used.
+
+    Notes
+    -----
+    Read from the variables: ``radial_wind_speed`` (time, gate), m/s, positive away; ``cnr``, dB;
+    ``radial_wind_speed_status``; ``azimuth``, clockwise from north, and ``elevation``, degrees; ``range``, m, over the
+    gates or over rays and gates (slant and vertical rays of one scan have different ranges); ``time``, counted from
+    the file's own epoch or from the text in ``time_reference``; ``ray_accumulation_time``, ms.
+
+    References
+    ----------
+    The layout is that of the files themselves (``Conventions = "CF/Radial 2.0, CF-1.7"``), as the readers of
+    lidarwind (doi:10.21105/joss.04852) and xradar describe it.
+    """
+    if file_format.status_valid is None:
+        file_format = replace(file_format, status_valid=STATUS_VALID)
+    names = own_names(NAMES, file_format)
+    root = open_netcdf(file)
+    velocity = names["radial_velocity"]
+    sweeps = [root] if velocity in root.variables else list(open_groups(file).values())
+    sweeps = [sweep for sweep in sweeps if velocity in sweep.variables]
+    if not sweeps:
+        raise InputError(
+            f"File {str(file)!r} has no variable {velocity!r}, in its root or in a group: it is not a WindCube's "
+            "NetCDF file, or of a scan that was broken off; leave it out, or give another file_format."
+        )
+    parts: list[Rays] = []
+    for sweep in sweeps:
+        parts.append(
+            rays_from(
+                sweep,
+                file,
+                file_format,
+                kind="windcube",
+                names=names,
+                time=_times(sweep, names["time"], file),
+                accumulation_time=_accumulation_time(sweep),
+                first_row=1 + sum(len(part.time) for part in parts),
+            )
+        )
+    return join_rays(parts)
+
+
+def _times(sweep: xr.Dataset, name: str, file: Path) -> NDArray[np.datetime64]:
+    """Return the times of the rays; older files give the epoch as text in a variable of its own."""
+    if name not in sweep.variables:
+        return np.zeros(0, dtype="datetime64[ns]")  # rays_from refuses the file
+    variable = sweep.variables[name]
+    units = str(variable.attrs.get("units", ""))
+    if _REFERENCE in sweep.variables and (_REFERENCE in units or not units):
+        units = f"seconds since {text_of(sweep.variables[_REFERENCE])}"
+    return decode_times(variable, units, name, file)
+
+
+def _accumulation_time(sweep: xr.Dataset) -> FloatArray | None:
+    """Return how long rays took, s; None if the file does not say, or not in a unit that is known."""
+    if "ray_accumulation_time" not in sweep.variables:
+        return None
+    variable = sweep.variables["ray_accumulation_time"]
+    factor = _SECONDS.get(str(variable.attrs.get("units", "ms")).strip().lower())
+    if factor is None or not np.issubdtype(variable.dtype, np.number):
+        return None
+    return factor * np.asarray(variable.values, dtype=np.float64)

@@ -1,0 +1,213 @@
+"""e-WindLidar files: the same records from every way to write them, and one clear line for every kind of bad file."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ray_files import e_windlidar, rays_of, six_beam
+
+from bayes_rs.errors import InputError
+from bayes_rs.mann import MannTurbulence
+from bayes_rs.readers import read_radial_velocity
+from bayes_rs.readers.e_windlidar import e_windlidar_rays, read_e_windlidar, recognises_e_windlidar
+from bayes_rs.readers.format import resolve_format
+from bayes_rs.records import make_records
+from bayes_rs.scan import Scan
+from bayes_rs.virtual import simulate
+
+SIX = six_beam(100.0, 150.0)
+FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
+NUMBER = itertools.count()
+VARIABLES = ("VEL", "CNR", "range", "azimuth_angle", "elevation_angle", "time")
+CHANGES = {
+    "drop": lambda rays, name: rays.drop_vars(name),
+    "text": lambda rays, name: rays.assign({name: (rays[name].dims, np.full(rays[name].shape, "?"))}),
+    "bytes": lambda rays, name: rays.assign({name: (rays[name].dims, np.full(rays[name].shape, b"?"))}),
+    "number": lambda rays, name: rays.assign({name: ((), 1.0)}),
+    "nan": lambda rays, name: rays.assign({name: rays[name] * np.nan}),
+    "huge": lambda rays, name: rays.assign({name: rays[name].astype(float) * 1e300}),
+    "other_dim": lambda rays, name: rays.assign({name: ("other", np.arange(5.0))}),
+    "no_attrs": lambda rays, name: rays.assign({name: rays[name].drop_attrs()}),
+}
+ATTRIBUTES = [
+    ("units", "\u00b0?"),
+    ("units", 7),
+    ("comment", [1.0, 2.0]),
+    ("comment", "seconds since campaign start at 2000-99-99"),
+    ("long_name", 7),
+    ("missing_value", "x"),
+    ("scale_factor", "x"),
+    ("_FillValue", "x"),
+]
+
+
+@pytest.fixture(scope="module")
+def series():
+    return simulate(SIX, FLOW, wind_speed=8.0, n_records=2, seed=5)
+
+
+@pytest.fixture(scope="module")
+def table(series):
+    return rays_of(series, SIX)
+
+
+@pytest.fixture(scope="module")
+def short(table):
+    return e_windlidar(table.take(slice(0, 12)))
+
+
+class TestRoundTrip:
+    @pytest.mark.parametrize("time", ["comment", "long_name", "units", "text"])
+    def test_the_same_records_from_every_way_to_write_times(self, time, tmp_path, series, table):
+        file = tmp_path / "noon.nc"
+        e_windlidar(table, time=time).to_netcdf(file, engine="h5netcdf")
+        assert recognises_e_windlidar(file)
+        back = read_radial_velocity(file, SIX)
+        records, expected = make_records(back, SIX), make_records(series, SIX)
+        for name in ("variance", "mean", "wind_speed", "yaw"):
+            np.testing.assert_allclose(records[name], expected[name], rtol=1e-12, atol=1e-13, err_msg=name)
+        for name in ("count", "flag", "time", "beam"):
+            np.testing.assert_array_equal(records[name], expected[name], err_msg=name)
+        assert (back["cnr"] == -12.5).all()
+        assert json.loads(back.attrs["read_report"])["files"][0]["format"] == "e-windlidar"
+
+    def test_dimensions_may_have_any_names_and_order(self, tmp_path, series, table):
+        renamed = e_windlidar(table).rename(range="gate_distance").rename_dims(time="ray", gate_distance="gate")
+        renamed = renamed.rename(gate_distance="range").reset_coords().transpose()
+        renamed.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
+        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        np.testing.assert_array_equal(np.sort(back["radial_velocity"]), np.sort(series["radial_velocity"]))
+
+    def test_rays_in_scans(self, tmp_path, series, table):
+        """Two dimensions of rays: the scans, and the rays of each."""
+        flat = e_windlidar(table).reset_coords()
+        folded = flat.coarsen(time=6).construct(time=("scan", "ray"))
+        folded.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
+        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        np.testing.assert_array_equal(back["radial_velocity"], self.sorted_like(back, series))
+
+    @staticmethod
+    def sorted_like(back, series):
+        order = np.lexsort((series["beam"].values, series["time"].values))
+        assert (series["beam"].values[order] == back["beam"].values).all()
+        return series["radial_velocity"].values[order]
+
+    def test_one_direction_one_range_and_the_old_name(self, tmp_path, table):
+        """A file of one line of sight, with a number for each angle, as the converter writes it for fixed beams."""
+        up = np.flatnonzero(table.elevation > 89.0)
+        fixed = e_windlidar(table.take(up)).rename(VEL="DOPPLER")
+        fixed = fixed.assign(
+            azimuth_angle=((), 217.0),
+            elevation_angle=((), 89.99),
+            range=("range", [50.0, 100.0, 150.0, 200.0], {"units": "m"}),
+        )
+        fixed.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
+        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        assert np.unique(back["beam"]).tolist() == [5, 11]
+        np.testing.assert_array_equal(back["radial_velocity"][::2], table.velocity[up, 1])
+
+    def test_accumulation_time_counts_where_a_stamp_is_not_at_the_start(self, tmp_path, table):
+        start = table.take(slice(0, 12))
+        e_windlidar(start, accumulation=2.0).to_netcdf(tmp_path / "variable.nc", engine="h5netcdf")
+        e_windlidar(start).assign_attrs(accumulation_time="2").to_netcdf(tmp_path / "attribute.nc", engine="h5netcdf")
+        for name in ("variable.nc", "attribute.nc"):
+            plain = read_radial_velocity(tmp_path / name, SIX)["time"].values
+            for stamp, shift in (("start", 0), ("middle", 1), ("end", 2)):
+                moved = read_radial_velocity(tmp_path / name, SIX, time_stamp=stamp)["time"].values
+                assert (plain - moved == np.timedelta64(shift, "s")).all()
+
+    def test_the_sign_is_an_option(self, tmp_path, short):
+        short.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
+        away, towards = (
+            read_radial_velocity(tmp_path / "noon.nc", SIX, positive=sign)["radial_velocity"].values
+            for sign in ("away", "towards")
+        )
+        np.testing.assert_array_equal(away, -towards)
+
+
+class TestBadFiles:
+    def refused(self, folder, rays, match):
+        rays.to_netcdf(folder / "bad.nc", engine="h5netcdf")
+        with pytest.raises(InputError, match=match) as caught:
+            read_radial_velocity(folder / "bad.nc", SIX, file_format="e-windlidar")
+        assert "bad.nc" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("name", "ours"),
+        [("VEL", "radial velocity"), ("time", "time"), ("azimuth_angle", "azimuth"), ("range", "distance")],
+    )
+    def test_missing_variables(self, tmp_path, short, name, ours):
+        self.refused(tmp_path, short.drop_vars(name), f"no variable '{name}' for the {ours} of its rays")
+
+    def test_times_since_nothing(self, tmp_path, short):
+        short = short.assign_coords(time=short["time"].drop_attrs())
+        self.refused(tmp_path, short, "counts seconds .* no units, long_name or comment of it says since when")
+
+    def test_times_that_are_no_times(self, tmp_path, table):
+        rays = e_windlidar(table.take(slice(0, 12)), time="text").reset_coords()
+        text = rays["time"].values
+        rays = rays.assign(time=("time", np.where(np.arange(12) == 3, "soon", text).astype(object))).reset_coords()
+        self.refused(tmp_path, rays, "Invalid time 'soon' in ray 4 of file")
+        rays = rays.assign(time=("time", np.where(np.arange(12) == 3, "", text).astype(object))).reset_coords()
+        rays.to_netcdf(tmp_path / "gap.nc", engine="h5netcdf")
+        back = read_radial_velocity(tmp_path / "gap.nc", SIX)
+        assert json.loads(back.attrs["read_report"])["rows_without_time"] == 1
+
+    def test_angles_of_no_lidar(self, tmp_path, short):
+        self.refused(tmp_path, short.assign(azimuth_angle=short["azimuth_angle"] + 1e4), "Invalid azimuth 10000")
+
+    def test_a_direction_that_the_scan_does_not_have(self, tmp_path, short):
+        self.refused(tmp_path, short.assign(elevation_angle=short["elevation_angle"] - 30.0), "No ray of file")
+
+    def test_files_that_are_cut_off(self, tmp_path, short):
+        file = tmp_path / "noon.nc"
+        short.to_netcdf(file, engine="h5netcdf")
+        whole = file.read_bytes()
+        for length in np.linspace(0, len(whole) - 1, 20).astype(int):
+            file.write_bytes(whole[:length])
+            with pytest.raises(InputError, match=r"noon\.nc"):
+                read_e_windlidar(file, SIX, resolve_format({}, SIX))
+            assert not recognises_e_windlidar(file)
+
+    @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @given(
+        st.lists(st.tuples(st.sampled_from(sorted(CHANGES)), st.sampled_from(VARIABLES)), max_size=2),
+        st.lists(st.tuples(st.sampled_from(ATTRIBUTES), st.sampled_from(VARIABLES)), max_size=1),
+    )
+    def test_a_changed_file_is_read_or_refused_with_its_name(self, tmp_path, short, changes, attributes):
+        rays = short
+        with np.errstate(all="ignore"):
+            for change, name in changes:
+                if name in rays.variables and rays[name].ndim and rays[name].dtype.kind in "fi":
+                    with contextlib.suppress(ValueError):  # some are no dataset at all
+                        rays = CHANGES[change](rays, name)
+        file = tmp_path / f"bad{next(NUMBER)}.nc"  # a library may hold on to a file that it could not open
+        rays.to_netcdf(file, engine="h5netcdf")
+        with h5py.File(file, "a") as written:
+            for (key, value), name in attributes:
+                if name in written:
+                    written[name].attrs[key] = value
+        for kind in ("e-windlidar", "auto"):
+            try:
+                message, back = "", read_radial_velocity(file, SIX, file_format=kind)
+            except InputError as error:
+                message, back = str(error), None
+            assert back is None or set(back["beam"].values) <= set(SIX.beam)
+            assert back is not None or (file.name in message and "\n" not in message)
+
+
+def test_rays_keep_what_the_file_says_of_them(tmp_path, short):
+    short.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
+    up = Scan("up", np.array([[0.0, 0.0, 1.0]]), np.array([100.0]), np.zeros(1), scan_duration=30.0)
+    rays = e_windlidar_rays(tmp_path / "noon.nc", resolve_format({}, up))
+    assert (rays.kind, rays.row_word, rays.row[0], rays.status) == ("e-windlidar", "ray", 1, None)
+    assert rays.accumulation_time is None
+    assert np.linalg.norm(rays.direction, axis=1) == pytest.approx(np.ones(12), abs=1e-12)
