@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -19,23 +21,34 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import check_choice, check_count
 from bayes_rs._version import __version__
-from bayes_rs.batch import Batch, FitOptions, fit_batch
+from bayes_rs.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
 from bayes_rs.digest import digest
-from bayes_rs.errors import InputError
+from bayes_rs.draw_store import DrawStore, check_zarr, open_draw_store
+from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.fitting import batch_size, can_be_fitted, fit_options, flags_after, flags_before, prepare
 from bayes_rs.noise import NoiseBank, NoiseModel
 from bayes_rs.nuisance import Nuisances
-from bayes_rs.output import prepare_resumable_folder, write_run
+from bayes_rs.output import RUN_FILE, prepare_resumable_folder, write_run
 from bayes_rs.prior import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.result import FLAGS, N_PRIOR_DRAW, PRIOR_SEED, noise_summary
+from bayes_rs.sampling.chains import N_CHAIN, kept_draws
 from bayes_rs.scan import Scan
+from bayes_rs.sonic import ESS_MARGIN
 from bayes_rs.stress import STRESSES
 from bayes_rs.summarizing import PriorOutline, check_summary_options, summarize_draws, summary_frame
 from bayes_rs.workers import check_client, run_dask, run_processes, run_serial
 
-DRAWS = ("none", "float32", "float64")
+DRAWS = ("none", "float32", "float64", "zarr")
 """What is kept of the draws."""
+MONTH = "month="
+"""Begins the name of a folder with the records of one month, as Hive has it."""
+UNFITTED = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"]
+"""Flags of records without a posterior."""
+_NUMBERS_FROM = ("numpy", "scipy", "emcee")
+"""Packages whose version can change a number."""
+_FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
+"""What the likelihood of a record may fail with."""
 PART_RECORDS = 128
 """Records of a part: what is lost at most when a run is interrupted, for each worker."""
 _PER_RECORD = ("acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
@@ -81,6 +94,12 @@ class _Shared:
     draws: str
     n_beam: int
 
+    @property
+    def n_draw(self) -> int:
+        """Draws of a record."""
+        margin = ESS_MARGIN if self.options.target == "sonic" else 1.0
+        return N_CHAIN * kept_draws(int(np.ceil(margin * self.options.target_ess)))
+
 
 @dataclass(frozen=True)
 class _Part:
@@ -99,6 +118,33 @@ class _Done:
 
     index: int
     tables: dict[str, pd.DataFrame]
+    draws: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """What a long fit does, checked before anything is written.
+
+    Parameters
+    ----------
+    key : str
+        Fingerprint of data, options and versions.
+    shared, parts : object
+        What all parts need, and the parts.
+    run : dict
+        What `run.json` says of the options.
+    n_record : int
+        Number of records.
+    datasets : tuple of str
+        The Parquet datasets.
+    """
+
+    key: str
+    shared: _Shared
+    parts: list[_Part]
+    run: Mapping[str, Any]
+    n_record: int
+    datasets: tuple[str, ...]
 
 
 def fit_campaign(
@@ -115,7 +161,7 @@ def fit_campaign(
     nuisances: Nuisances | None = None,
     target_ess: int = 1000,
     max_extension: int = 5,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
     prob: float = 0.9,
     derived: Sequence[str] = (),
     draws: str = "none",
@@ -142,7 +188,8 @@ def fit_campaign(
     prob, derived
         As in `summary`.
     draws : str
-        ``"none"``, ``"float32"`` or ``"float64"``: keep the draws, too; 49 or 98 kB a record.
+        ``"float32"`` or ``"float64"``: keep the draws, too, as a Parquet dataset; 49 or 98 kB a record. ``"zarr"``:
+        the same in float32 as a Zarr store of one chunk a part, which needs the extra ``zarr``. ``"none"``: do not.
     workers : int
         Number of processes on this machine.
     client : dask.distributed.Client, optional
@@ -162,7 +209,10 @@ def fit_campaign(
     Raises
     ------
     InputError
-        If input does not belong together, the folder may not be written, or it holds a run of something else.
+        If input does not belong together, the folder may not be written, or it holds a run of something else, or one
+        that other versions of numpy, scipy or emcee began.
+    MissingExtraError
+        If draws are to go to Zarr, and that is not installed.
     WorkerError
         If worker processes die again and again.
     OSError
@@ -170,12 +220,14 @@ def fit_campaign(
 
     Notes
     -----
-    The folder holds Parquet datasets of one file for each part: ``summary`` (the columns of `summary`), ``posterior``
-    (one row a record: flag, sampler, diagnostics, whether it is outside the noise bank, and the covariance of the
-    stresses) and, on request, ``draws`` (one row a draw); pandas reads each as one table. A part appears whole or not
-    at all. Whatever ends a run, what was finished is kept, and a note of the error says how much. All numbers are the
-    same for a seed, whatever the number of workers, the order in which they finish, and however often the run was
-    interrupted; they are those of `fit`.
+    The folder holds Parquet datasets, one file for each part and month, in folders such as ``month=2020-09`` if the
+    records have times: ``summary`` (the columns of `summary`), ``posterior`` (one row a record: flag, sampler,
+    diagnostics, whether it is outside the noise bank, and the covariance of the stresses) and, on request, ``draws``
+    (one row a draw); pandas reads each, or one month of it, as one table. The Zarr store ``draws.zarr`` holds ``uu`` to
+    ``vw`` (record, draw), NaN for records without a posterior. A part counts only if it is whole. A record whose
+    likelihood cannot be calculated is flagged ``likelihood_failed`` and stops nothing. Whatever ends a run, what was
+    finished is kept, and a note of the error says how much. All numbers are the same for a seed, whatever the number of
+    workers, the order in which they finish, and however often the run was interrupted; they are those of `fit`.
 
     Examples
     --------
@@ -189,82 +241,233 @@ def fit_campaign(
     ...     len(campaign.summary()), campaign.n_fitted
     (18, 3)
     """
-    began = time.perf_counter()
-    check_summary_options(prob, derived)
-    check_choice(draws, DRAWS, what="draws")
-    check_count(workers, what="workers")
+    plan = plan_campaign(
+        records,
+        scan,
+        noise=noise,
+        seed=seed,
+        prior=prior,
+        target=target,
+        sampler=sampler,
+        likelihood=likelihood,
+        nuisances=nuisances,
+        target_ess=target_ess,
+        max_extension=max_extension,
+        instrument_noise=instrument_noise,
+        prob=prob,
+        derived=derived,
+        draws=draws,
+        workers=workers,
+        client=client,
+    )
+    if resume and not overwrite:
+        check_versions(output)
+    folder = prepare_resumable_folder(output, plan.key, resume=resume, overwrite=overwrite)
+    write_run(folder, {"key": plan.key, "finished": False, "packages": number_versions()})
+    return run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+
+
+def plan_campaign(
+    records: xr.Dataset,
+    scan: Scan,
+    *,
+    noise: NoiseModel | NoiseBank,
+    seed: int,
+    prior: str | Prior = "weak",
+    target: str = "record",
+    sampler: str = "auto",
+    likelihood: str = "log-normal",
+    nuisances: Nuisances | None = None,
+    target_ess: int = 1000,
+    max_extension: int = 5,
+    instrument_noise: float | str = 0.0,
+    prob: float = 0.9,
+    derived: Sequence[str] = (),
+    draws: str = "none",
+    workers: int = 1,
+    client: Any = None,
+) -> CampaignPlan:
+    """Check all that `fit_campaign` is given, and cut the records into parts.
+
+    Raises
+    ------
+    InputError
+        If input does not belong together.
+    MissingExtraError
+        If draws are to go to Zarr, and that is not installed.
+    """
+    check_job_options(prob=prob, derived=derived, draws=draws, workers=workers)
     if client is not None:
         check_client(client)
     options = fit_options(
         prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
     )
-    scan, noise, batch = prepare(records, scan, noise)
+    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise)
+    batch = replace(batch, used=batch.used & np.isfinite(batch.variance))
     parts = _parts(records, batch)
     described = [(part.record, part.time, part.flag) for part in parts]
-    key = digest(__version__, scan.key, noise, batch, described, options, prob, derived, draws, PART_RECORDS)
-    folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
-    datasets = ("summary", "posterior", *(("draws",) if draws != "none" else ()))
-    left = [part for part in parts if not all(_is_whole(_file(folder, name, part.index)) for name in datasets)]
-    n_resumed = n_done = len(batch) - sum(len(part.batch) for part in left)
+    key = digest(
+        __version__,
+        number_versions(),
+        scan.key,
+        noise,
+        batch,
+        described,
+        options,
+        prob,
+        derived,
+        draws,
+        PART_RECORDS,
+    )
     outline = PriorOutline(options.prior.draw(N_PRIOR_DRAW, PRIOR_SEED), derived)
-    shared = _Shared(noise, options, outline, prob, draws, scan.n_beam)
+    run = {
+        "bayes_rs": __version__,
+        "packages": number_versions(),
+        "key": key,
+        "scan": scan.name,
+        "scan_key": scan.key,
+        "prior": options.prior.in_words(),
+        "nuisances": options.nuisances.in_words(),
+        "target": target,
+        "sampler": sampler,
+        "likelihood": likelihood,
+        "noise": noise_summary(noise),
+        "instrument_noise": instrument_noise if isinstance(instrument_noise, str) else float(instrument_noise),
+        "seed": options.seed,
+        "target_ess": int(target_ess),
+        "max_extension": int(max_extension),
+        "prob": float(prob),
+        "derived": list(derived),
+        "draws": draws,
+        "n_record": len(batch),
+    }
+    tables = ("summary", "posterior", *(("draws",) if draws in ("float32", "float64") else ()))
+    return CampaignPlan(key, _Shared(noise, options, outline, prob, draws, scan.n_beam), parts, run, len(batch), tables)
+
+
+def check_job_options(*, prob: float, derived: Sequence[str], draws: str, workers: int) -> None:
+    """Check what `fit_campaign` is given beside the options of `fit`, before any work is done.
+
+    Raises
+    ------
+    InputError
+        If an option is not valid.
+    MissingExtraError
+        If draws are to go to Zarr, and that is not installed.
+    """
+    check_summary_options(prob, derived)
+    check_choice(draws, DRAWS, what="draws")
+    check_count(workers, what="workers")
+    if draws == "zarr":
+        check_zarr()
+
+
+def run_campaign(
+    plan: CampaignPlan, folder: Path, *, workers: int = 1, client: Any = None, show_progress: bool | None = None
+) -> Campaign:
+    """Do what a plan has left to do in a folder.
+
+    Parameters
+    ----------
+    plan : CampaignPlan
+        From `plan_campaign`.
+    folder : Path
+        A folder of this plan: nothing of another is in it.
+    workers, client, show_progress
+        As for `fit_campaign`.
+
+    Returns
+    -------
+    campaign : Campaign
+        Where the results are, and how many.
+
+    Raises
+    ------
+    WorkerError
+        If worker processes die again and again.
+    OSError
+        If a part cannot be written, as on a full disk.
+    """
+    began = time.perf_counter()
+    shared, n_record = plan.shared, plan.n_record
+    store = _open_draws(plan, folder) if shared.draws == "zarr" else None
+    left = [
+        part
+        for part in plan.parts
+        if not all(_is_whole(file) for name in plan.datasets for file, _ in _files(folder, name, part))
+        or not (store is None or store.has(part.index))
+    ]
+    n_resumed = n_done = n_record - sum(len(part.batch) for part in left)
     silent = None if show_progress is None else not show_progress
+    of_index = {part.index: part for part in left}
     try:
         with (
-            progress_counter(len(batch), "fitting", " records", initial=n_resumed, disable=silent) as bar,
+            progress_counter(n_record, "fitting", " records", initial=n_resumed, disable=silent) as bar,
             closing(_run(shared, left, workers, client)) as finished,
         ):
             for done in finished:
+                if store is not None and done.draws is not None:
+                    store.write(done.index, done.draws)  # before the tables, which say that the part is whole
                 for name, table in done.tables.items():
-                    _write(table, _file(folder, name, done.index))
+                    _write_files(table, folder, name, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
     except BaseException as error:
         error.add_note(
-            f"{n_done} of {len(batch)} records are finished and kept in {str(folder)!r}: the same call with resume "
+            f"{n_done} of {n_record} records are finished and kept in {str(folder)!r}: the same call with resume "
             "goes on from there."
         )
         raise
-    _tidy(folder, datasets)
-    row = pd.read_parquet(folder / "posterior", columns=["flag_bits", "outside_noise"])
+    _tidy(folder, plan.datasets)
+    rows = [pq.ParquetFile(file).read(["flag_bits", "outside_noise"]) for file in part_files(folder, "posterior")]
+    row = pa.concat_tables(rows)
     flag = row["flag_bits"].to_numpy()
-    unfitted = FLAGS["no_usable_beam"] | FLAGS["no_wind"]
     campaign = Campaign(
         folder,
-        len(batch),
-        int(np.count_nonzero((flag & unfitted) == 0)),
+        n_record,
+        int(np.count_nonzero((flag & UNFITTED) == 0)),
         n_resumed,
         {word: int(np.count_nonzero(flag & bit)) for word, bit in FLAGS.items()},
         time.perf_counter() - began,
     )
-    write_run(
-        folder,
-        {
-            "bayes_rs": __version__,
-            "key": key,
-            "scan": scan.name,
-            "scan_key": scan.key,
-            "prior": options.prior.in_words(),
-            "nuisances": options.nuisances.in_words(),
-            "target": target,
-            "sampler": sampler,
-            "likelihood": likelihood,
-            "noise": noise_summary(noise),
-            "instrument_noise": float(instrument_noise),
-            "seed": options.seed,
-            "target_ess": int(target_ess),
-            "max_extension": int(max_extension),
-            "prob": float(prob),
-            "derived": list(derived),
-            "draws": draws,
-            "n_record": campaign.n_record,
-            "n_fitted": campaign.n_fitted,
-            "n_outside_noise": int(np.count_nonzero(row["outside_noise"])),
-            "flags": campaign.flags,
-            "finished": True,
-        },
-    )
+    counts = {
+        "n_fitted": campaign.n_fitted,
+        "n_outside_noise": int(np.count_nonzero(row["outside_noise"].to_numpy())),
+        "flags": campaign.flags,
+        "finished": True,
+    }
+    write_run(folder, {**plan.run, **counts})
     return campaign
+
+
+def number_versions() -> dict[str, str]:
+    """Return the versions of the packages whose numbers are in the results."""
+    return {name: version(name) for name in _NUMBERS_FROM}
+
+
+def check_versions(output: str | Path) -> None:
+    """Refuse to go on with a run that other versions of the packages began: numbers could differ within one result.
+
+    Raises
+    ------
+    InputError
+        If `run.json` in the folder names other versions.
+    """
+    try:
+        found = json.loads((Path(output) / RUN_FILE).read_text(encoding="utf-8")).get("packages", {})
+    except (OSError, ValueError, AttributeError):
+        return  # not a folder of ours: `prepare_resumable_folder` says so
+    for name, now in number_versions().items():
+        if found.get(name, now) != now:
+            raise InputError(
+                f"Output folder {str(output)!r} is of a run with {name} {found[name]}, and this is {name} {now}, whose "
+                f"numbers could differ: go on with {name} {found[name]}, give another name, or overwrite."
+            )
+
+
+def part_files(folder: str | Path, dataset: str) -> list[Path]:
+    """Return the files of a Parquet dataset of a long fit, in the order of the records."""
+    return sorted((Path(folder) / dataset).glob("**/part-*.parquet"), key=lambda file: (file.name, file.parent.name))
 
 
 def read_summary(folder: str | Path) -> pd.DataFrame:
@@ -285,10 +488,11 @@ def read_summary(folder: str | Path) -> pd.DataFrame:
     InputError
         If the folder holds no summary.
     """
-    files = sorted((Path(folder) / "summary").glob("part-*.parquet"))
+    files = part_files(folder, "summary")
     if not files:
         raise InputError(f"No summary in {str(folder)!r}: give the output folder of fit_campaign.")
-    return pd.concat([pd.read_parquet(file) for file in files], ignore_index=True)
+    whole = pa.concat_tables([pq.ParquetFile(file).read() for file in files])
+    return cast("pd.DataFrame", whole.to_pandas())
 
 
 def _parts(records: xr.Dataset, batch: Batch) -> list[_Part]:
@@ -324,10 +528,15 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
     sampler = np.full(n_record, "", dtype=object)
     outside = np.zeros(n_record, dtype=np.bool_)
     kept: list[pd.DataFrame] = []
+    stored = (
+        np.full((n_record, shared.n_draw, len(STRESSES)), np.nan, dtype=np.float32) if shared.draws == "zarr" else None
+    )
     size = min(batch_size(shared.n_beam), 128)
     for first in range(0, len(fitted), size):
-        some = fitted[first : first + size]
-        draws = fit_batch(part.batch.take(some), shared.noise, shared.options, predict=False)
+        some, draws = _fit_those_that_can(part.batch, fitted[first : first + size], shared)
+        flag[np.setdiff1d(fitted[first : first + size], some)] |= FLAGS["likelihood_failed"]
+        if draws is None:
+            continue
         chains = draws.chains
         flag[some] |= flags_after(draws, shared.options.target_ess)
         known = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat}
@@ -345,7 +554,9 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
         per_record["sonic_clipped"][some] = draws.clipped
         sampler[some] = chains.sampler
         outside[some] = draws.outside
-        if shared.draws != "none":
+        if stored is not None:
+            stored[some] = flat
+        elif shared.draws != "none":
             kept.append(_draws_table(flat, part.record[some], shared.draws))
     tables = {
         "summary": summary_frame(
@@ -368,10 +579,25 @@ def fit_part(shared: _Shared, part: _Part) -> _Done:
             }
         ),
     }
-    if shared.draws != "none":
+    if shared.draws in ("float32", "float64"):
         empty = _draws_table(np.empty((0, 0, len(STRESSES))), np.empty(0, dtype=np.int64), shared.draws)
         tables["draws"] = pd.concat(kept, ignore_index=True) if kept else empty
-    return _Done(part.index, tables)
+    return _Done(part.index, tables, stored)
+
+
+def _fit_those_that_can(
+    batch: Batch, rows: NDArray[np.int64], shared: _Shared
+) -> tuple[NDArray[np.int64], RecordDraws | None]:
+    """Fit some records of a batch; return those that could be, and their draws."""
+    try:
+        return rows, fit_batch(batch.take(rows), shared.noise, shared.options, predict=False)
+    except _FAILED:
+        if len(rows) == 1:
+            return rows[:0], None
+    # a record's numbers do not depend on those beside it: halves find the one that fails
+    found = [_fit_those_that_can(batch, half, shared) for half in np.array_split(rows, 2)]
+    fitted = [draws for _, draws in found if draws is not None]
+    return np.concatenate([some for some, _ in found]), join_draws(fitted) if fitted else None
 
 
 def _draws_table(flat: NDArray[np.float64], record: NDArray[np.int64], kind: str) -> pd.DataFrame:
@@ -386,8 +612,23 @@ def _draws_table(flat: NDArray[np.float64], record: NDArray[np.int64], kind: str
     )
 
 
-def _file(folder: Path, dataset: str, index: int) -> Path:
-    return folder / dataset / f"part-{index:06d}.parquet"
+def _open_draws(plan: CampaignPlan, folder: Path) -> DrawStore:
+    return open_draw_store(
+        folder / "draws.zarr",
+        time=np.concatenate([part.time for part in plan.parts]),
+        n_draw=plan.shared.n_draw,
+        part_records=PART_RECORDS,
+        attributes={"key": plan.key},
+    )
+
+
+def _files(folder: Path, dataset: str, part: _Part) -> list[tuple[Path, NDArray[np.bool_]]]:
+    """Return the files of a part, one for each month, and which of its records are in each."""
+    name = f"part-{part.index:06d}.parquet"
+    if np.isnat(part.time).any():
+        return [(folder / dataset / name, np.ones(len(part.time), dtype=np.bool_))]
+    month = part.time.astype("datetime64[M]")
+    return [(folder / dataset / f"{MONTH}{one}" / name, month == one) for one in np.unique(month)]
 
 
 def _is_whole(file: Path) -> bool:
@@ -399,9 +640,14 @@ def _is_whole(file: Path) -> bool:
     return True
 
 
+def _write_files(table: pd.DataFrame, folder: Path, dataset: str, part: _Part) -> None:
+    for file, rows in _files(folder, dataset, part):
+        _write(table if rows.all() else table[table["record"].isin(part.record[rows])], file)
+
+
 def _write(table: pd.DataFrame, file: Path) -> None:
     """Write a table that appears whole or not at all."""
-    file.parent.mkdir(exist_ok=True)
+    file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.{os.getpid()}")  # readers of the folder pass over names with a dot
     try:
         table.to_parquet(part, index=False)
@@ -415,5 +661,5 @@ def _write(table: pd.DataFrame, file: Path) -> None:
 def _tidy(folder: Path, datasets: Sequence[str]) -> None:
     """Remove what interrupted runs had half written."""
     for name in datasets:
-        for leftover in (folder / name).glob(".part-*.parquet.*"):
+        for leftover in (folder / name).glob("**/.part-*.parquet.*"):
             leftover.unlink(missing_ok=True)

@@ -36,6 +36,7 @@ FAILURES = (
     | FLAGS["short_chain"]
     | FLAGS["ensembles_differ"]
     | FLAGS["weights_uneven"]
+    | FLAGS["likelihood_failed"]
 )
 """Flags that count as a failure of a record; the others are remarks."""
 
@@ -80,7 +81,7 @@ def run_fit(
     likelihood: str = "log-normal",
     nuisances: Nuisances | None = None,
     target_ess: int = 1000,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
     prob: float = 0.9,
     derived: Sequence[str] = (),
     seed: int = 1,

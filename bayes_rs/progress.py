@@ -44,9 +44,9 @@ def progress(
 
 @contextmanager
 def progress_counter(
-    total: int, description: str, unit: str, *, initial: int = 0, disable: bool | None = None
+    total: int, description: str, unit: str, *, initial: int = 0, scale: bool = False, disable: bool | None = None
 ) -> Iterator[Any]:
-    """Show how many of a number of things are done, and how many a second, on stderr.
+    """Show how many of a number of things are done, how many a second, and the time left, on stderr.
 
     Parameters
     ----------
@@ -58,6 +58,8 @@ def progress_counter(
         What is counted, with a blank in front.
     initial : int
         How many were done before: they do not count for the speed.
+    scale : bool
+        Shorten numbers: 1.2G instead of 1234567890.
     disable : bool, optional
         As for `progress`.
 
@@ -68,6 +70,13 @@ def progress_counter(
     """
     silent = not sys.stderr.isatty() if disable is None else disable
     with tqdm(
-        total=total, initial=initial, desc=description, unit=unit, disable=silent, file=sys.stderr, leave=False
+        total=total,
+        initial=initial,
+        desc=description,
+        unit=unit,
+        unit_scale=scale,
+        disable=silent,
+        file=sys.stderr,
+        leave=False,
     ) as bar:
         yield bar

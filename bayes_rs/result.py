@@ -29,6 +29,9 @@ FLAGS: dict[str, int] = {
     "ensembles_differ": 32,
     "weights_uneven": 64,
     "contradicts_model": 128,
+    "not_stationary": 256,
+    "low_wind": 512,
+    "likelihood_failed": 1024,
 }
 """Bits of a record's flag in the result; the first two mean that the record was not fitted."""
 

@@ -11,12 +11,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs import diagnostics
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.derived import check_derived, with_derived
 from bayes_rs.errors import InputError
 from bayes_rs.result import check_result, flag_words, group
 from bayes_rs.sampling.chains import N_ENSEMBLE
 from bayes_rs.stress import STRESSES
+from bayes_rs.wind.frames import FRAMES, to_lidar_frame
 
 COLUMNS: tuple[str, ...] = (
     "record",
@@ -45,7 +46,9 @@ _BATCH = 64
 """Records that are summarized together."""
 
 
-def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = ()) -> pd.DataFrame:
+def summary(
+    result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = (), frame: str = "wind"
+) -> pd.DataFrame:
     """Summarize the posterior of every record.
 
     Parameters
@@ -55,8 +58,12 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     prob : float
         Probability of the highest-density intervals.
     derived : sequence of str
-        Quantities beside the six stresses: ``"ti"``, ``"tke"``, ``"friction_velocity"``, ``"anisotropy_2"``,
-        ``"anisotropy_3"``.
+        Quantities beside the six stresses: turbulence intensities ``"ti"`` (σ_u/U), ``"ti_v"``, ``"ti_w"``; ``"tke"``;
+        ``"friction_velocity"``; ``"correlation_uv"``, ``"correlation_uw"``, ``"correlation_vw"``; the invariants
+        ``"anisotropy_2"``, ``"anisotropy_3"`` and ``"lumley_xi"``, ``"lumley_eta"`` of the anisotropy tensor.
+    frame : {"wind", "lidar"}
+        Axes of the stresses and of what is derived from them: of the record's mean wind, or of the levelled lidar (x
+        against its view, y to its right, z up), by the record's ``yaw``.
 
     Returns
     -------
@@ -69,7 +76,8 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     Raises
     ------
     InputError
-        If the tree is not a result of `fit`, prob is not between 0 and 1, or a derived quantity is not known.
+        If the tree is not a result of `fit`, prob is not between 0 and 1, or a derived quantity or the frame is not
+        known.
 
     Notes
     -----
@@ -83,8 +91,10 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     """
     check_result(result)
     check_summary_options(prob, derived)
+    check_choice(frame, FRAMES, what="frame")
     stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    outline = PriorOutline(group(result, "prior")["stress"].values.reshape(-1, len(STRESSES)), derived)
+    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
+    outline = PriorOutline(prior, derived)
     observed = group(result, "observed_data")
     wind_speed = observed["wind_speed"].values
     stats = group(result, "sample_stats")
@@ -93,9 +103,13 @@ def summary(result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = 
     columns: dict[str, FloatArray] = {}
     for start in range(0, len(fitted), _BATCH):
         chunk = fitted[start : start + _BATCH]
-        part = summarize_draws(
-            stress[chunk], outline, wind_speed[chunk], prob, {name: values[chunk] for name, values in known.items()}
-        )
+        in_frame, diagnosed = stress[chunk], {name: values[chunk] for name, values in known.items()}
+        if frame == "lidar":
+            yaw = np.deg2rad(observed["yaw"].values[chunk])
+            in_frame = to_lidar_frame(in_frame, yaw[:, None, None])
+            diagnosed = _diagnosed_in_frame(in_frame, diagnosed)
+            outline = _outline_in_lidar_frame(prior, derived, yaw)
+        part = summarize_draws(in_frame, outline, wind_speed[chunk], prob, diagnosed)
         for column, values in part.items():
             columns.setdefault(column, np.full((len(stress), values.shape[1]), np.nan))[chunk] = values
     no_time = np.full(len(stress), np.datetime64("NaT", "ns"))
@@ -124,6 +138,26 @@ class PriorOutline:
         self.derived = tuple(derived)
         self.variance = with_derived(draws, derived).var(axis=0)  # the prior says nothing of the wind speed: TI is NaN
         self.shape_variance = (draws / draws[:, :3].sum(axis=1, keepdims=True)).var(axis=0)
+
+
+def _outline_in_lidar_frame(draws: FloatArray, derived: Sequence[str], yaw: FloatArray) -> PriorOutline:
+    """Return the outline of the prior in the lidar's frame, one row of variances for each wind direction, rad."""
+    turned = PriorOutline(draws, derived)
+    parts = [PriorOutline(to_lidar_frame(draws, angle), derived) for angle in yaw]
+    turned.variance = np.stack([part.variance for part in parts])
+    turned.shape_variance = np.stack([part.shape_variance for part in parts])
+    return turned
+
+
+def _diagnosed_in_frame(stress: FloatArray, known: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the diagnostics of turned draws; weighted draws are worth no more than in the frame they were made in."""
+    found = diagnostics.diagnose(np.ascontiguousarray(np.moveaxis(stress, -1, 1)), N_ENSEMBLE)
+    bounds = {name: known[name].max(axis=1, keepdims=True) if name in known else np.inf for name in DIAGNOSTICS}
+    return {
+        "ess_bulk": np.minimum(found.ess_bulk, bounds["ess_bulk"]),
+        "ess_tail": np.minimum(found.ess_tail, bounds["ess_tail"]),
+        "r_hat": found.r_hat,
+    }
 
 
 def summarize_draws(

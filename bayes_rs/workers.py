@@ -6,15 +6,16 @@ import importlib
 import os
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from loky import ProcessPoolExecutor
 from threadpoolctl import threadpool_limits
 
-from bayes_rs.errors import InputError, WorkerError
+from bayes_rs.errors import InputError, MissingExtraError, WorkerError
 
 _Part = TypeVar("_Part")
 _Done = TypeVar("_Done")
@@ -104,6 +105,49 @@ def check_client(client: Any) -> None:
         raise InputError('A Dask client needs the package distributed: run pip install "bayes_rs[dask]".') from error
     if not isinstance(client, distributed.Client) or client.asynchronous:
         raise InputError(f"Invalid client {client!r}: it must be a dask.distributed.Client, not an asynchronous one.")
+
+
+@contextmanager
+def connect(scheduler: str | None, *, timeout: float = 30.0) -> Iterator[Any]:
+    """Connect to the scheduler of a Dask cluster, and let it go at the end.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Its address, such as ``tcp://10.0.0.1:8786``; None for no cluster.
+    timeout : float
+        How long to wait for it, s.
+
+    Yields
+    ------
+    client : dask.distributed.Client or None
+        The connection.
+
+    Raises
+    ------
+    MissingExtraError
+        If the package distributed is not installed.
+    InputError
+        If there is no scheduler at the address.
+    """
+    if scheduler is None:
+        yield None
+        return
+    try:
+        distributed: Any = importlib.import_module("distributed")  # an optional package
+    except ImportError as error:
+        raise MissingExtraError(
+            'A Dask cluster needs the package distributed: run pip install "bayes_rs[dask]".'
+        ) from error
+    try:
+        client = distributed.Client(scheduler, timeout=timeout)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"No Dask scheduler at {scheduler!r} ({error}): give the address that it prints when it starts, such as "
+            "tcp://10.0.0.1:8786."
+        ) from error
+    with client:
+        yield client
 
 
 def run_dask(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import WeakPrior, campaign, load_scan
+from bayes_rs import NotPositiveDefiniteError, WeakPrior, campaign, load_scan
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)
@@ -66,12 +66,25 @@ def fit_part_and_die_once(shared, part):
     return FIT_PART(shared, part)
 
 
+def singular(records, numbers):
+    """Return a `fit_batch` that fails for batches with one of these records."""
+    keys = records["time"].values[numbers].astype(np.int64)
+    fit_batch = campaign.fit_batch
+
+    def fitting(batch, *arguments, **options):
+        if np.isin(batch.key, keys).any():
+            raise NotPositiveDefiniteError("singular noise", smallest_eigenvalue=0.0)
+        return fit_batch(batch, *arguments, **options)
+
+    return fitting
+
+
 def set_variable(name, value):
     os.environ[name] = value
 
 
 if __name__ == "__main__":
     campaign.PART_RECORDS = PART
-    folder, workers, number = sys.argv[1:4]
+    folder, workers, number, draws = sys.argv[1:5]
     die_at_write(int(number), half_written=True)
-    campaign.fit_campaign(make_records(), SCAN, folder, workers=int(workers), **OPTIONS)
+    campaign.fit_campaign(make_records(), SCAN, folder, workers=int(workers), draws=draws, **OPTIONS)

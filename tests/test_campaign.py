@@ -3,10 +3,12 @@
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import campaign_scene
@@ -14,12 +16,14 @@ import distributed
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from campaign_scene import EMPTY_PART, N_RECORD, NOISE, OPTIONS, PART, SCAN, make_records
 
 from bayes_rs import (
     STRESSES,
     InputError,
     MannTurbulence,
+    MissingExtraError,
     NoiseBank,
     Nuisances,
     campaign,
@@ -34,7 +38,7 @@ from bayes_rs.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
-N_PART = -(-N_RECORD // PART)
+MONTH = "month=2020-01"
 UNFITTED = [2, 8, *range(10, 15)]
 
 
@@ -95,19 +99,20 @@ def same(one, other):
 def same_folders(one, other):
     """Check that the datasets of two runs are the same, file by file and bit by bit."""
     for name in ("summary", "posterior"):
-        files = sorted(file.name for file in (one / name).iterdir())
-        assert files == sorted(file.name for file in (other / name).iterdir())
+        files = sorted(file.relative_to(one / name) for file in (one / name).glob("**/*.parquet"))
+        assert files == sorted(file.relative_to(other / name) for file in (other / name).glob("**/*.parquet"))
         for file in files:
             same(pd.read_parquet(one / name / file), pd.read_parquet(other / name / file))
+            assert (one / name / file).read_bytes() == (other / name / file).read_bytes()
 
 
 def parts(folder, name="summary"):
-    return {file.name: file.stat().st_mtime_ns for file in (folder / name).glob("part-*.parquet")}
+    return {file.name: file.stat().st_mtime_ns for file in (folder / name).glob("**/part-*.parquet")}
 
 
-def run_that_dies(folder, *, workers, number):
+def run_that_dies(folder, *, workers, number, draws="none"):
     """Run the campaign in a process that is killed in the middle of writing its file of that number."""
-    command = [sys.executable, TESTS / "campaign_scene.py", folder, str(workers), str(number)]
+    command = [sys.executable, TESTS / "campaign_scene.py", folder, str(workers), str(number), draws]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)  # noqa: S603 - our own
     assert done.returncode == -signal.SIGKILL, done.stderr
 
@@ -226,7 +231,7 @@ class TestRecordsThatCannotBeFitted:
 
     def test_every_part_has_the_same_types(self, whole):
         for name in ("summary", "posterior", "draws"):
-            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in sorted((whole / name).iterdir())}
+            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in campaign.part_files(whole, name)}
             assert len(types) == 1, name
 
 
@@ -236,7 +241,8 @@ class TestFolder:
             found = pd.read_parquet(whole / name)
             assert found["record"].is_monotonic_increasing
             assert "datetime64[ns]" in {str(kind) for kind in found.dtypes} or name == "draws"
-        same(pd.read_parquet(whole / "summary"), read_summary(whole))
+        same(pd.read_parquet(whole / "summary" / MONTH), read_summary(whole))
+        same(pd.read_parquet(whole / "summary").drop(columns="month"), read_summary(whole))
         assert len(pd.read_parquet(whole / "posterior")) == N_RECORD
 
     def test_run_file_tells_what_was_run(self, plain):
@@ -276,6 +282,137 @@ class TestFolder:
         assert peak[1] - peak[0] < 25.0  # MiB
 
 
+class TestMonths:
+    """A part that holds records of two months is two files."""
+
+    @pytest.fixture
+    def straddling(self, records):
+        turn = np.datetime64("2020-03-01", "ns") - 8 * np.timedelta64(600, "s")
+        return records.assign_coords(time=("record", turn + np.arange(N_RECORD) * np.timedelta64(600, "s")))
+
+    def test_each_can_be_read_alone(self, straddling, tmp_path):
+        found = fit_campaign(straddling, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
+        same(found.summary(), summary(fit(straddling, SCAN, sampler="auto", **OPTIONS)))
+        for name in ("summary", "posterior", "draws"):
+            for month, expected in (("2020-02", range(8)), ("2020-03", range(8, N_RECORD))):
+                some = pd.read_parquet(found.folder / name / f"month={month}")
+                assert set(some["record"]) == set(expected) - (set(UNFITTED) if name == "draws" else set())
+                chosen = pd.read_parquet(found.folder / name, filters=[("month", "==", month)])
+                same(chosen.drop(columns="month"), some)
+
+    def test_a_part_is_whole_only_with_both(self, straddling, tmp_path):
+        folder = fit_campaign(straddling, SCAN, tmp_path / "out", **OPTIONS).folder
+        (folder / "summary" / "month=2020-03" / "part-000001.parquet").unlink()
+        before = read_summary(folder)
+        assert fit_campaign(straddling, SCAN, folder, resume=True, **OPTIONS).n_resumed == N_RECORD - PART
+        assert len(read_summary(folder)) == len(before) + 2 * 6
+
+
+class TestZarr:
+    def test_the_store_holds_the_draws_of_fit(self, records, result, plain, tmp_path):
+        folder = fit_campaign(records, SCAN, tmp_path / "out", draws="zarr", **OPTIONS).folder
+        posterior = group(result, "posterior")["stress"].transpose("component", "record", "chain", "draw").values
+        with xr.open_dataset(folder / "draws.zarr", engine="zarr", chunks=None) as found:
+            for name, expected in zip(STRESSES, posterior.reshape(6, N_RECORD, -1), strict=True):
+                np.testing.assert_array_equal(found[name].values, expected.astype(np.float32))
+            np.testing.assert_array_equal(found["time"].values, records["time"].values)
+            assert np.flatnonzero(found["uu"].isnull().all("draw")).tolist() == UNFITTED
+        same_folders(folder, plain)
+
+    @pytest.mark.parametrize("number", [0, 5])
+    def test_a_run_that_was_killed_goes_on(self, records, tmp_path, number):
+        whole = fit_campaign(records, SCAN, tmp_path / "whole", draws="zarr", **OPTIONS).folder
+        run_that_dies(tmp_path / "out", workers=1, number=number, draws="zarr")
+        found = fit_campaign(records, SCAN, tmp_path / "out", resume=True, draws="zarr", **OPTIONS)
+        assert found.n_resumed == number // 2 * PART
+        same_folders(found.folder, whole)
+        files = [file.relative_to(whole) for file in whole.glob("draws.zarr/**/*") if file.is_file()]
+        assert len(files) > 6 * 5
+        for file in files:
+            assert (whole / file).read_bytes() == (found.folder / file).read_bytes()
+
+    def test_a_chunk_that_is_cut_short_is_done_again(self, records, tmp_path):
+        folder = fit_campaign(records, SCAN, tmp_path / "out", draws="zarr", **OPTIONS).folder
+        chunk = folder / "draws.zarr" / "vw" / "c" / "3" / "0"
+        before = chunk.read_bytes()
+        for spoil in (lambda: chunk.write_bytes(before[:-8]), chunk.unlink):
+            spoil()
+            found = fit_campaign(records, SCAN, folder, resume=True, draws="zarr", **OPTIONS)
+            assert found.n_resumed == N_RECORD - PART
+            assert chunk.read_bytes() == before
+        (folder / "draws.zarr" / "zarr.json").unlink()
+        assert fit_campaign(records, SCAN, folder, resume=True, draws="zarr", **OPTIONS).n_resumed == 0
+
+    def test_records_without_time(self, records, tmp_path):
+        some = records.isel(record=slice(0, 7)).drop_vars("time")
+        folder = fit_campaign(some, SCAN, tmp_path / "out", draws="zarr", **OPTIONS).folder
+        with xr.open_dataset(folder / "draws.zarr", engine="zarr", chunks=None) as found:
+            assert "time" not in found.variables
+            assert dict(found.sizes) == {"record": 7, "draw": found.sizes["draw"]}
+
+    def test_the_sonic_has_more_draws(self, tmp_path):
+        scan, flow = load_scan("6-beam"), MannTurbulence(0.05, 61.0, 3.2)
+        noise = theory_noise(scan, flow, wind_speed=10.0, sonic=True)
+        options = {"noise": noise, "seed": 3, "target_ess": 1000, "target": "sonic"}
+        folder = fit_campaign(make_records(2), scan, tmp_path / "sonic", draws="zarr", **options).folder
+        with xr.open_dataset(folder / "draws.zarr", engine="zarr", chunks=None) as found:
+            assert np.isfinite(found["uu"].values).all()
+
+    def test_without_the_package(self, records, monkeypatch, tmp_path):
+        monkeypatch.setitem(sys.modules, "zarr", None)
+        with pytest.raises(
+            MissingExtraError, match=r"Draws in Zarr need the package zarr: run pip install \"bayes_rs\[z"
+        ):
+            fit_campaign(records, SCAN, tmp_path / "out", draws="zarr", **OPTIONS)
+        assert not (tmp_path / "out").exists()
+
+
+class TestVersions:
+    def test_they_are_told(self, plain):
+        packages = json.loads((plain / "run.json").read_text())["packages"]
+        assert packages == {name: version(name) for name in ("numpy", "scipy", "emcee")}
+
+    def test_a_run_is_not_resumed_under_others(self, records, tmp_path, monkeypatch):
+        monkeypatch.setattr(campaign, "version", lambda name: "1.0" if name == "scipy" else version(name))
+        fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", **OPTIONS)
+        monkeypatch.undo()
+        words = (
+            f"is of a run with scipy 1.0, and this is scipy {version('scipy')}, whose numbers could differ: go on with"
+        )
+        with pytest.raises(InputError, match=re.escape(words)):
+            fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", resume=True, **OPTIONS)
+        # the file that says so may be lost: the key knows them, too
+        run = json.loads((tmp_path / "out" / "run.json").read_text())
+        (tmp_path / "out" / "run.json").write_text(json.dumps({"key": run["key"], "finished": False}))
+        with pytest.raises(InputError, match="other data, options or version"):
+            fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", resume=True, **OPTIONS)
+
+
+class TestRecordsWhoseLikelihoodFails:
+    """They are flagged, and the others have the numbers that they have without them."""
+
+    @pytest.mark.parametrize("bad", [[3], [3, 9, 16], list(range(N_RECORD))])
+    def test_they_stop_nothing(self, records, plain, monkeypatch, tmp_path, bad):
+        monkeypatch.setattr(campaign, "fit_batch", campaign_scene.singular(records, bad))
+        found = fit_campaign(records, SCAN, tmp_path / "out", draws="float64", **OPTIONS)
+        failed = sorted(set(bad) - set(UNFITTED))
+        assert found.flags["likelihood_failed"] == len(failed)
+        assert found.n_fitted == N_RECORD - len(UNFITTED) - len(failed)
+        table, expected = found.summary(), read_summary(plain)
+        spoilt = table["record"].isin(failed)
+        assert table[spoilt]["mean"].isna().all()
+        assert table[spoilt]["flag"].str.contains("likelihood_failed").all()
+        same(table[~spoilt], expected[~spoilt])
+
+    def test_an_infinite_variance_counts_as_none(self, records, tmp_path):
+        some = records.isel(record=slice(0, 7)).copy(deep=True)
+        some["variance"].values[0, 2] = np.inf
+        some["variance"].values[1] = np.nan
+        found = fit_campaign(some, SCAN, tmp_path / "out", **OPTIONS).summary().groupby("record")["flag"].first()
+        assert found[0].startswith("beam_left_out")
+        assert found[1] == "no_usable_beam"
+
+
 class TestResume:
     @pytest.mark.parametrize(("workers", "number"), [(1, 5), (2, 4)])
     def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(self, records, plain, tmp_path, workers, number):
@@ -284,7 +421,7 @@ class TestResume:
         before = {name: parts(folder, name) for name in ("summary", "posterior")}
         # each part is two files: the file with that number is not there, but in its place a half-written one
         assert (len(before["summary"]), len(before["posterior"])) == (-(-number // 2), number // 2)
-        assert len(list(folder.glob("*/.part-*"))) == 1
+        assert len(list(folder.glob("**/.part-*"))) == 1
         assert json.loads((folder / "run.json").read_text())["finished"] is False
         both = set(before["summary"]) & set(before["posterior"])
         found = fit_campaign(records, SCAN, folder, resume=True, **OPTIONS)
@@ -293,7 +430,7 @@ class TestResume:
         for name in ("summary", "posterior"):
             assert {file: before[name][file] for file in both} == {file: after[name][file] for file in both}
         same_folders(folder, plain)
-        assert not list(folder.glob("*/.part-*"))
+        assert not list(folder.glob("**/.part-*"))
         assert (folder / "run.json").read_bytes() == (plain / "run.json").read_bytes()
 
     def test_what_is_finished_of_an_interrupted_run_can_be_read(self, plain, tmp_path):
@@ -311,9 +448,9 @@ class TestResume:
 
     def test_a_part_that_cannot_be_read_is_done_again(self, records, plain, tmp_path):
         folder = fit_campaign(records, SCAN, tmp_path / "out", **OPTIONS).folder
-        spoilt = folder / "posterior" / "part-000001.parquet"
+        spoilt = folder / "posterior" / MONTH / "part-000001.parquet"
         spoilt.write_bytes(spoilt.read_bytes()[:-10])
-        (folder / "summary" / "part-000003.parquet").write_bytes(b"")
+        (folder / "summary" / MONTH / "part-000003.parquet").write_bytes(b"")
         found = fit_campaign(records, SCAN, folder, resume=True, **OPTIONS)
         assert found.n_resumed == N_RECORD - 2 * PART
         same_folders(folder, plain)
@@ -430,7 +567,7 @@ class TestFailures:
             fit_campaign(records, SCAN, tmp_path / "out", workers=workers, **OPTIONS)
         assert "with resume goes on from there" in caught.value.__notes__[0]
         assert time.monotonic() - began < 60.0
-        assert not list((tmp_path / "out").glob("*/.part-*"))
+        assert not list((tmp_path / "out").glob("**/.part-*"))
         monkeypatch.setattr(pd.DataFrame, "to_parquet", write)
         assert fit_campaign(records, SCAN, tmp_path / "out", resume=True, **OPTIONS).n_resumed == PART
         same_folders(tmp_path / "out", plain)

@@ -9,17 +9,15 @@ from bayes_rs.quality.samples import BoolArray, IntArray
 from bayes_rs.quality.spikes import is_far, running_median
 
 
-def is_blade_passage(
-    velocity: FloatArray, beam: IntArray, group: IntArray, *, window: int, threshold: float
-) -> BoolArray:
+def is_blade_passage(velocity: FloatArray, group: IntArray, *, window: int, threshold: float) -> BoolArray:
     """Find samples that a blade pulled towards zero: |v| < |m| and |v − m| > k · 1.4826 · MAD.
 
     Parameters
     ----------
     velocity : ndarray, shape (n_sample,)
         Finite radial velocities, m/s, beam after beam and each in time's order.
-    beam, group : ndarray of int, shape (n_sample,)
-        Beam, and record and beam together, of each sample.
+    group : ndarray of int, shape (n_sample,)
+        Record and beam of each sample, as one number.
     window : int
         Number of samples of the running median m, odd; a blade must cover less than half of them.
     threshold : float
@@ -34,6 +32,6 @@ def is_blade_passage(
     -----
     As the rule for spikes, on one side only: along the beam a blade moves more slowly than the wind.
     """
-    median = running_median(velocity, beam, window=window)
+    median = running_median(velocity, group, window=window)
     far = is_far(np.abs(velocity - median), group, threshold=threshold)
     return np.asarray(far & (np.abs(velocity) < np.abs(median)))

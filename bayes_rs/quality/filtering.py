@@ -103,7 +103,7 @@ def _filters(samples: BeamSamples, rules: QualityRules) -> list[tuple[str, Filte
     ]
     if rules.frozen_run is not None:
         run = rules.frozen_run
-        chosen.append(("frozen", lambda there: ~is_frozen(samples.velocity, samples.beam, there, run=run)))
+        chosen.append(("frozen", lambda there: ~is_frozen(samples.velocity, samples.group, there, run=run)))
     if rules.blade_threshold is not None:
         options = {"window": rules.blade_window, "threshold": rules.blade_threshold}
         chosen.append(("blade", partial(_sequence_passes, samples, is_blade_passage, options)))
@@ -144,5 +144,5 @@ def _sequence_passes(
 ) -> BoolArray:
     """Apply a rule on the sequence of the samples that are still there."""
     passes = there.copy()
-    passes[there] = ~is_bad(samples.velocity[there], samples.beam[there], samples.group[there], **options)
+    passes[there] = ~is_bad(samples.velocity[there], samples.group[there], **options)
     return passes

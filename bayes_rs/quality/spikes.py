@@ -1,4 +1,4 @@
-"""Spikes: samples far from the running median of their beam."""
+"""Spikes: samples far from the running median of their beam in their record."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ MAD_TO_SIGMA = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
 
 
-def running_median(velocity: FloatArray, beam: IntArray, *, window: int) -> FloatArray:
-    """Return the median of the `window` samples of the same beam about each sample, mirrored at the beam's ends."""
+def running_median(velocity: FloatArray, group: IntArray, *, window: int) -> FloatArray:
+    """Return the median of the `window` samples of the same group about each sample, mirrored at the group's ends."""
     median = np.empty_like(velocity)
-    edges = np.flatnonzero(np.diff(beam)) + 1
+    edges = np.flatnonzero(np.diff(group)) + 1
     for values, out in zip(np.split(velocity, edges), np.split(median, edges), strict=True):
         if len(values):
             out[:] = scipy.ndimage.median_filter(values, size=window, mode="mirror")
@@ -29,17 +29,17 @@ def is_far(deviation: FloatArray, group: IntArray, *, threshold: float) -> BoolA
     return np.asarray((deviation > threshold * MAD_TO_SIGMA * mad) & (mad > 0.0))
 
 
-def is_spike(velocity: FloatArray, beam: IntArray, group: IntArray, *, window: int, threshold: float) -> BoolArray:
+def is_spike(velocity: FloatArray, group: IntArray, *, window: int, threshold: float) -> BoolArray:
     """Find spikes by the median rule: |v − m| > k · 1.4826 · MAD.
 
     Parameters
     ----------
     velocity : ndarray, shape (n_sample,)
         Finite radial velocities, m/s, beam after beam and each in time's order.
-    beam, group : ndarray of int, shape (n_sample,)
-        Beam, and record and beam together, of each sample.
+    group : ndarray of int, shape (n_sample,)
+        Record and beam of each sample, as one number: a record does not depend on its neighbours.
     window : int
-        Number of samples w of the running median m, odd; mirrored at a beam's ends.
+        Number of samples w of the running median m, odd; mirrored at a record's ends.
     threshold : float
         k.
 
@@ -50,7 +50,7 @@ def is_spike(velocity: FloatArray, beam: IntArray, group: IntArray, *, window: i
 
     Notes
     -----
-    m is the median of the w usable samples of the same beam about the sample, MAD the median of |v − m| over the record
+    m is the median of the w usable samples of the same record and beam about the sample, MAD the median of |v − m| over the record
     and beam. Where MAD is zero (a value that repeats) the rule has no scale and drops nothing.
     """
-    return is_far(np.abs(velocity - running_median(velocity, beam, window=window)), group, threshold=threshold)
+    return is_far(np.abs(velocity - running_median(velocity, group, window=window)), group, threshold=threshold)

@@ -1,0 +1,92 @@
+"""A day of a ZX TM at 50 Hz, from CSV to summaries: python benchmarks/zx_day.py FOLDER [--workers 2] [--repeat 3].
+
+The day is simulated and written to FOLDER as one CSV file of 4.3 million rows, unless it is there. Printed are the
+seconds of reading, noise and fit, the largest memory of this process and of a worker, and the flags; with --profile,
+where the time of reading goes.
+"""
+
+import argparse
+import cProfile
+import json
+import os
+import pstats
+import resource
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+
+import bayes_rs as brs
+from bayes_rs.long_job import run_folder_fit
+from bayes_rs.record_store import store_records
+
+START = np.datetime64("2020-09-04", "ns")
+RECORDS = 144
+READING = {"positive": "away"}
+"""As simulated, whatever the instrument's own files say."""
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--scan", default="zx-tm")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--repeat", type=int, default=1)
+    parser.add_argument("--profile", action="store_true")
+    arguments = parser.parse_args()
+    scan = brs.load_scan(arguments.scan)
+    file = arguments.folder / f"{arguments.scan}-day.csv"
+    if not file.exists():
+        write_day(file, scan)
+    print(f"{file.stat().st_size / 1e6:.0f} MB, load {os.getloadavg()[0]:.1f}", flush=True)
+    if arguments.profile:
+        profile(file, scan, arguments.folder / "store")
+        return
+    for _ in range(arguments.repeat):
+        output = arguments.folder / "out"
+        began = time.perf_counter()
+        outcome = run_folder_fit(file, scan, output, reading=READING, workers=arguments.workers, overwrite=True)
+        seconds = time.perf_counter() - began
+        run = json.loads((output / "run.json").read_text(encoding="utf-8"))
+        people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        own, worker = (resource.getrusage(who).ru_maxrss / 1024 for who in people)
+        flagged = {word: count for word, count in outcome.campaign.flags.items() if count}
+        print(
+            f"{outcome.n_fitted} of {outcome.n_record} records, {seconds:.1f} s {run['seconds']}, {own:.0f} and "
+            f"{worker:.0f} MB, {flagged}, load {os.getloadavg()[0]:.1f}",
+            flush=True,
+        )
+
+
+def write_day(file: Path, scan: brs.Scan) -> None:
+    """Simulate a day, the same two hours of turbulence at another wind speed in turn, and write it as a long table."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    flow = brs.load_turbulence("fu-2022")
+    series = brs.simulate(scan, flow, wind_speed=10.0, n_records=12, seed=1)
+    since = series["time"].values - series["time"].values[0].astype("datetime64[D]")
+    part = file.with_suffix(".part")
+    with part.open("wb") as sink:
+        for turn in range(RECORDS // 12):
+            columns = {
+                "time": START + turn * np.timedelta64(2, "h") + since,
+                "beam": series["beam"].values,
+                "radial_velocity": np.round((0.8 + 0.05 * turn) * series["radial_velocity"].values, 4),
+            }
+            pyarrow.csv.write_csv(pa.table(columns), sink, pyarrow.csv.WriteOptions(include_header=turn == 0))
+    part.replace(file)
+
+
+def profile(file: Path, scan: brs.Scan, store: Path) -> None:
+    """Print where the time of reading and making records goes."""
+    shutil.rmtree(store, ignore_errors=True)
+    profiler = cProfile.Profile()
+    profiler.runcall(store_records, file, scan, store, reading=READING)
+    pstats.Stats(profiler).sort_stats("tottime").print_stats(25)
+
+
+if __name__ == "__main__":
+    main()
