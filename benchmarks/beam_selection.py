@@ -11,8 +11,8 @@ import numpy as np
 import scipy.linalg
 
 import bayes_rs as brs
-from bayes_rs.likelihood import log_normal_likelihood
-from bayes_rs.prior import make_prior
+from bayes_rs.likelihoods.log_normal import log_normal_likelihood
+from bayes_rs.priors.registry import make_prior
 
 SCANS = {"50-beam": (30, 40), "51-beam": (30, 40), "spinnerlidar": (40, 120, 200)}
 N_TENSOR = 2000

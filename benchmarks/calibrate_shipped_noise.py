@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_rs.calibration import DEFAULT_SEED, noise_from_boxes
-from bayes_rs.mann import load_turbulence
-from bayes_rs.noise import NoiseBank, NoiseModel
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.virtual import RecordState
+from bayes_rs.calibration.calibrating import DEFAULT_SEED, noise_from_boxes
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.turbulence.mann import load_turbulence
 
 DURATION = 600.0
 WIND_SPEED = 10.0

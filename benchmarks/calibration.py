@@ -21,10 +21,10 @@ import xarray as xr
 from scipy import stats
 
 import bayes_rs as brs
-from bayes_rs.noise import NoiseModel
-from bayes_rs.nuisance import Nuisances
-from bayes_rs.prior import Prior, make_prior
-from bayes_rs.virtual import RecordState
+from bayes_rs.noise.model import NoiseModel
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.simulation.virtual import RecordState
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 INSTRUMENTS: dict[str, tuple[str, dict[str, float]]] = {

@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
-from bayes_rs.noise_choice import noise_for_records
+from bayes_rs.calibration.choice import noise_for_records
 
 MASTS = {"south mast": "TI_South", "north mast": "TI_North", "mean of both masts": "both"}
 

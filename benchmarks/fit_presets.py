@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from bayes_rs.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence
 
 FloatArray = NDArray[np.float64]
 Spectra = Callable[[FloatArray], FloatArray]

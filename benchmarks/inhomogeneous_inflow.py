@@ -22,7 +22,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
-from bayes_rs.forward import design_matrix
+from bayes_rs.geometry.forward import design_matrix
 
 HUB = 119.0
 """Height of the rotor's centre, m."""

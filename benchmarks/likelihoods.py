@@ -18,12 +18,12 @@ import numpy as np
 import pandas as pd
 
 import bayes_rs as brs
-from bayes_rs.likelihood import LIKELIHOODS, Likelihood, make_likelihood
-from bayes_rs.posterior import Posterior
-from bayes_rs.prior import Prior, make_prior
-from bayes_rs.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.sampling.pareto import pareto_k
-from bayes_rs.stress import STRESSES
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, Likelihood, make_likelihood
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
+from bayes_rs.posteriors.sampling.pareto import pareto_k
+from bayes_rs.priors.registry import Prior, make_prior
 
 SCENES = {
     "4-beam": ("4-beam", {}),

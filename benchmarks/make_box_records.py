@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 import bayes_rs as brs
-from bayes_rs.scan import Scan
+from bayes_rs.geometry.scan import Scan
 
 SCENES = {
     "4-beam": ("4-beam", {}),

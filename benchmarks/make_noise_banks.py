@@ -8,11 +8,11 @@ import time
 from dataclasses import replace
 
 from bayes_rs import load_scan, load_turbulence
+from bayes_rs.calibration.bank import measure_interpolation, theory_bank
+from bayes_rs.calibration.store import THEORY_SUFFIX
 from bayes_rs.models import models_folder
-from bayes_rs.noise import NoiseBank
-from bayes_rs.noise_bank import measure_interpolation, theory_bank
-from bayes_rs.noise_reading import load_noise
-from bayes_rs.noise_store import THEORY_SUFFIX
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.reading import load_noise
 
 SCANS = ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
 WIND_SPEEDS = (3.0, 25.0)

@@ -22,10 +22,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
-from bayes_rs import one_point, two_point
-from bayes_rs.box_noise import noise_from_boxes
-from bayes_rs.boxes import BoxGrid
-from bayes_rs.virtual import RecordState
+from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs.simulation.boxes import BoxGrid
+from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.turbulence import one_point, two_point
 
 WIND_SPEED, DURATION = 10.0, 600.0
 GRIDS = {

@@ -23,11 +23,11 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 import bayes_rs as brs
-from bayes_rs.batch import Batch, FitOptions, make_posterior
-from bayes_rs.nuisance import Nuisances
-from bayes_rs.posterior import Posterior
-from bayes_rs.prior import WeakPrior
-from bayes_rs.sampling import sample
+from bayes_rs.posteriors.batch import Batch, FitOptions, make_posterior
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.sampling import sample
+from bayes_rs.priors.registry import WeakPrior
 
 SCANS: dict[str, tuple[str, dict[str, float]]] = {
     "6-beam": ("6-beam", {}),

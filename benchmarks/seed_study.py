@@ -17,7 +17,7 @@ import pandas as pd
 import xarray as xr
 
 import bayes_rs as brs
-from bayes_rs.theory import SonicMoments
+from bayes_rs.noise.theory import SonicMoments
 
 WIND_SPEED, SEED, N_FIELD = 10.0, 2022, 100
 DURATIONS = (1800.0, 600.0)

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 import bayes_rs as brs
-from bayes_rs.prior import WeakPrior
+from bayes_rs.priors.registry import WeakPrior
 
 START = np.datetime64("2020-01-01", "ns")
 

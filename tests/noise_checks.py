@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError, NoiseMismatchError
-from bayes_rs.noise import NoiseBank
-from bayes_rs.noise_reading import load_noise
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.reading import load_noise
 
 
 def check_noise(noise, scan, folder):

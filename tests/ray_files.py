@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.rays import angles_of, direction_of
-from bayes_rs.scan import Scan
 
 SLANT, UP = 75.0, 90.0
 AZIMUTH = np.array([0.0, 72.0, 144.0, 216.0, 288.0, 0.0])

@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs import MannTurbulence, Scan
-from bayes_rs.forward import design_matrix
-from bayes_rs.noise import NoiseModel
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.noise.model import NoiseModel
 
 TURBULENCE = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="test")
 

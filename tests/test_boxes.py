@@ -5,9 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from bayes_rs.boxes import MAX_POINTS, BoxGrid, BoxMaker, choose_grid, generator_name
 from bayes_rs.errors import InputError, MissingExtraError
-from bayes_rs.mann import MannTurbulence
+from bayes_rs.simulation.boxes import MAX_POINTS, BoxGrid, BoxMaker, choose_grid, generator_name
+from bayes_rs.turbulence.mann import MannTurbulence
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
 SMALL = BoxGrid((128, 16, 16), (16.0, 16.0, 16.0))

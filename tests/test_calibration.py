@@ -10,20 +10,20 @@ import pytest
 import xarray as xr
 from noise_checks import check_noise
 
-from bayes_rs import noise_store
-from bayes_rs.box_noise import noise_from_boxes
-from bayes_rs.boxes import BoxGrid, BoxMaker
-from bayes_rs.calibration import METHODS, calibrate, noise_key
+from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs.calibration.calibrating import METHODS, calibrate, noise_key
+from bayes_rs.calibration.calibrating import store as noise_store
+from bayes_rs.calibration.choice import noise_for_records
+from bayes_rs.calibration.store import cache_folder, find_shipped_noise
 from bayes_rs.errors import InputError, MissingExtraError
-from bayes_rs.forward import design_matrix
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.noise import NoiseBank, NoiseModel
-from bayes_rs.noise_choice import noise_for_records
-from bayes_rs.noise_reading import load_noise
-from bayes_rs.noise_store import cache_folder, find_shipped_noise
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.virtual import RecordState
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.reading import load_noise
+from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
+from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.turbulence.mann import MannTurbulence
 
 calibrate_module = sys.modules[calibrate.__module__]
 box_noise_module = sys.modules[noise_from_boxes.__module__]

@@ -34,7 +34,7 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
-from bayes_rs.result import FLAGS, group
+from bayes_rs.results.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent

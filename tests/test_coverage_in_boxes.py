@@ -9,9 +9,9 @@ from scenes import records_of
 from scipy import stats
 
 from bayes_rs import calibrate, fit, load_noise, load_scan, load_turbulence
-from bayes_rs.forward import design_matrix
+from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.models import models_folder
-from bayes_rs.prior import WeakPrior
+from bayes_rs.priors.registry import WeakPrior
 
 SCENES = {
     "4-beam": ("4-beam", {}, "4-beam.nc"),

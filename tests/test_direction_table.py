@@ -5,9 +5,9 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import InputError, WeakPrior, direction_words, directions, fit, load_scan
-from bayes_rs.forward import design_matrix
-from bayes_rs.prior import FlatPrior
-from bayes_rs.stress import STRESSES, rotate_stress
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.stress import STRESSES, rotate_stress
+from bayes_rs.priors.registry import FlatPrior
 
 YAW = 25.0
 

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from ray_files import e_windlidar, rays_of, six_beam
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.readers.e_windlidar import e_windlidar_rays, read_e_windlidar, recognises_e_windlidar
 from bayes_rs.readers.format import resolve_format
-from bayes_rs.records import make_records
-from bayes_rs.scan import Scan
-from bayes_rs.virtual import simulate
+from bayes_rs.records.making import make_records
+from bayes_rs.simulation.virtual import simulate
+from bayes_rs.turbulence.mann import MannTurbulence
 
 SIX = six_beam(100.0, 150.0)
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)

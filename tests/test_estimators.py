@@ -12,10 +12,10 @@ from hypothesis.extra.numpy import arrays
 from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs.estimators import ESTIMATORS, IEC_RATIOS
-from bayes_rs.noise import NoiseBank
-from bayes_rs.prior import WeakPrior
-from bayes_rs.scan import yaw_matrix
+from bayes_rs.design.estimators import ESTIMATORS, IEC_RATIOS
+from bayes_rs.geometry.scan import yaw_matrix
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.priors.registry import WeakPrior
 
 TRUTH = np.array([1.8, 0.9, 0.5, 0.1, -0.4, 0.05])
 STRESS = arrays(np.float64, 6, elements=st.floats(-0.3, 0.3)).map(

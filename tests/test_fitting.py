@@ -6,12 +6,12 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, NoiseMismatchError, load_scan
-from bayes_rs.fitting import fit
-from bayes_rs.forward import design_matrix
-from bayes_rs.noise import NoiseBank
-from bayes_rs.prior import FlatPrior, WeakPrior
-from bayes_rs.result import FLAGS
-from bayes_rs.summarizing import summary
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.priors.registry import FlatPrior, WeakPrior
+from bayes_rs.results.fitting import fit
+from bayes_rs.results.result import FLAGS
+from bayes_rs.results.summarizing import summary
 
 
 def simulated(name, n_record, prior, seed, **overrides):

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bayes_rs import InputError, load_scan
-from bayes_rs.forward import design_matrix, radial_variance, sight
+from bayes_rs.geometry.forward import design_matrix, radial_variance, sight
+from bayes_rs.geometry.scan_file import cone_direction
+from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.models import preset_names
-from bayes_rs.prior import WeakPrior
-from bayes_rs.scan_file import cone_direction
-from bayes_rs.stress import unpack_stress
+from bayes_rs.priors.registry import WeakPrior
 
 STRESS = arrays(np.float64, 6, elements=st.floats(-5.0, 5.0))
 ANGLE = st.floats(-np.pi, np.pi)

@@ -10,9 +10,9 @@ from scenes import draw_variances, plain_noise
 from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
-from bayes_rs.forward import design_matrix
-from bayes_rs.likelihood import LIKELIHOODS, log_normal_likelihood
-from bayes_rs.prior import WeakPrior
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
+from bayes_rs.priors.registry import WeakPrior
 
 ROOT = Path(__file__).parents[1]
 
@@ -67,7 +67,7 @@ def test_moments_are_those_of_the_noise_model():
 @pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar", "staring-planes"])
 def test_reduced_density_is_that_of_the_projected_data(name, stress):
     """Any orthonormal basis of the column space at the reference shape, by another route than the code's."""
-    from bayes_rs.likelihood import REFERENCE_STRESS  # noqa: PLC0415
+    from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS  # noqa: PLC0415
 
     scan = load_scan(name)
     noise = plain_noise(scan)

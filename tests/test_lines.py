@@ -6,15 +6,15 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from bayes_rs import lines
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.lines import LARGEST_NEGATIVE_PART, LineMaker
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.stress import unpack_stress
-from bayes_rs.theory import theory_noise
-from bayes_rs.two_point import radial_covariance
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.simulation import lines
+from bayes_rs.simulation.lines import LARGEST_NEGATIVE_PART, LineMaker
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.two_point import radial_covariance
 
 SEED = load_turbulence("fu-2022")
 ROUNDING = 1e-12  # roots of matrices of a few hundred rows, entries of size 1

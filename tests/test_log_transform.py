@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_rs.log_transform import bessel_mellin, cosine_mellin, log_convolution, sine_mellin
+from bayes_rs.turbulence.log_transform import bessel_mellin, cosine_mellin, log_convolution, sine_mellin
 
 LOG_K = -16.0 + 0.2 * np.arange(121)
 R = np.array([1e-3, 0.1, 1.0, 3.0, 10.0])

@@ -23,9 +23,9 @@ from bayes_rs import (
     read_summary,
     record_store,
 )
-from bayes_rs.long_job import run_long_fit
-from bayes_rs.record_store import store_records
-from bayes_rs.workers import connect
+from bayes_rs.campaigns.record_store import store_records
+from bayes_rs.campaigns.workers import connect
+from bayes_rs.jobs.long_job import run_long_fit
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent

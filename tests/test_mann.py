@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence, fit_turbulence, load_turbulence
 from bayes_rs.models import preset_names
+from bayes_rs.turbulence.mann import MannTurbulence, fit_turbulence, load_turbulence
 
 
 class TestParameters:

@@ -8,13 +8,13 @@ import xarray as xr
 from noise_checks import check_noise
 
 from bayes_rs.errors import InputError, NoiseMismatchError, NotPositiveDefiniteError
-from bayes_rs.forward import design_matrix
-from bayes_rs.mann import MannTurbulence
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.models import models_folder
-from bayes_rs.noise import NoiseBank, NoiseModel
-from bayes_rs.noise_reading import load_noise
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
+from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.reading import load_noise
+from bayes_rs.turbulence.mann import MannTurbulence
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="fu-2022")
 SHIPPED = {

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_rs import fitting, noise_bank
-from bayes_rs.calibration import METHODS
+from bayes_rs.calibration.bank import measure_interpolation, theory_bank
+from bayes_rs.calibration.calibrating import METHODS
+from bayes_rs.calibration.calibrating import bank as noise_bank
+from bayes_rs.calibration.choice import noise_for_records
+from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError
-from bayes_rs.fitting import fit
-from bayes_rs.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.noise import NoiseBank, NoiseModel
-from bayes_rs.noise_bank import measure_interpolation, theory_bank
-from bayes_rs.noise_choice import noise_for_records
-from bayes_rs.noise_store import find_shipped_noise
-from bayes_rs.scan_file import load_scan
-from bayes_rs.theory import theory_noise
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.results import fitting
+from bayes_rs.results.fitting import fit
+from bayes_rs.turbulence.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 
 FLOW = load_turbulence("fu-2022")
 FREE = {"wind_speed": [4.0, 18.0], "yaw_deg": [-25.0, 33.0], "cache": False}
@@ -91,7 +92,7 @@ class TestStatedError:
         assert relative_distance(noise.covariance[0], truth.covariance) < 1.2 * bank.interpolation_error
 
     def test_a_probe_is_interpolated(self):
-        from bayes_rs.probe import ContinuousWaveProbe  # noqa: PLC0415
+        from bayes_rs.geometry.probe import ContinuousWaveProbe  # noqa: PLC0415
 
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
         bank = theory_bank(scan, FLOW, wind_speed=[8.0, 14.0], yaw_deg=[0.0, 20.0], duration=120.0, cache=False)

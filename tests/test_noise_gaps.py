@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.gaps import gap_noise
-from bayes_rs.mann import load_turbulence
-from bayes_rs.scan_file import load_scan
-from bayes_rs.theory import theory_noise
-from bayes_rs.toeplitz import gapped_inner, gapped_trace, toeplitz_inner, toeplitz_trace
-from bayes_rs.two_point import radial_covariance
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.gaps import gap_noise
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.turbulence.mann import load_turbulence
+from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace, toeplitz_inner, toeplitz_trace
+from bayes_rs.turbulence.two_point import radial_covariance
 
 FLOW = load_turbulence("fu-2022")
 
@@ -131,7 +131,7 @@ class TestLaws:
         np.testing.assert_allclose(noise.gain, half.gain * ratio[:, None], atol=1e-11)
 
     def test_probe_volumes_have_gaps_too(self):
-        from bayes_rs.probe import ContinuousWaveProbe  # noqa: PLC0415
+        from bayes_rs.geometry.probe import ContinuousWaveProbe  # noqa: PLC0415
 
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
         whole = theory_noise(scan, FLOW, wind_speed=9.0, duration=60.0)

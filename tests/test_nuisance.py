@@ -8,11 +8,11 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, Nuisances, fit, load_scan, radial_variance
-from bayes_rs.likelihood import log_normal_likelihood
-from bayes_rs.mixture_likelihood import MixtureLikelihood
-from bayes_rs.noise import NoiseBank
-from bayes_rs.nuisance import RecordNuisances
-from bayes_rs.prior import WeakPrior
+from bayes_rs.likelihoods.log_normal import log_normal_likelihood
+from bayes_rs.likelihoods.mixture import MixtureLikelihood
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.posteriors.nuisance import RecordNuisances
+from bayes_rs.priors.registry import WeakPrior
 
 N_RECORD = 300
 

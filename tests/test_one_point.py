@@ -5,14 +5,14 @@ import pytest
 from scipy import special
 
 from bayes_rs.errors import InputError
-from bayes_rs.one_point import (
+from bayes_rs.turbulence.one_point import (
     ISOTROPIC_VARIANCE,
     isotropic_spectra,
     isotropic_tensor,
     one_point_spectra,
     scaled_stresses,
 )
-from bayes_rs.spectral_tensor import lifetime_shape, scaled_tensor
+from bayes_rs.turbulence.spectral_tensor import lifetime_shape, scaled_tensor
 
 UNIT = {"dissipation": 1.0, "length_scale": 1.0}
 PROMISED = 1e-8  # relative to uu

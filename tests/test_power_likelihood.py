@@ -6,12 +6,12 @@ from scenes import draw_variances, plain_noise
 from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
-from bayes_rs.forward import design_matrix
-from bayes_rs.likelihood import LIKELIHOODS, REFERENCE_STRESS, make_likelihood
-from bayes_rs.likelihood_base import beam_data
-from bayes_rs.plugin_likelihood import fitted_variance
-from bayes_rs.power_likelihood import power_likelihood, power_moments
-from bayes_rs.prior import WeakPrior
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.base import beam_data
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, REFERENCE_STRESS, make_likelihood
+from bayes_rs.likelihoods.plugin import fitted_variance
+from bayes_rs.likelihoods.power import power_likelihood, power_moments
+from bayes_rs.priors.registry import WeakPrior
 
 NAMES = list(LIKELIHOODS)
 POWERS = {"gaussian": 1.0, "gamma": 1.0 / 3.0}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_rs.mann import load_turbulence
+from bayes_rs.turbulence.mann import load_turbulence
 
 KOLMOGOROV = 1.7
 """Three-dimensional constant α; n S_u = (18/55) α ε^(2/3) k₁^(-2/3) in the inertial range."""

@@ -5,8 +5,9 @@ import pytest
 from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError
-from bayes_rs.one_point import scaled_stresses
-from bayes_rs.prior import (
+from bayes_rs.geometry.stress import is_realizable
+from bayes_rs.priors.mann_family import family_shape
+from bayes_rs.priors.registry import (
     PRIORS,
     FlatPrior,
     GaussianPrior,
@@ -17,8 +18,7 @@ from bayes_rs.prior import (
     WeakPrior,
     make_prior,
 )
-from bayes_rs.priors.mann_family import family_shape
-from bayes_rs.stress import is_realizable
+from bayes_rs.turbulence.one_point import scaled_stresses
 
 MEAN = np.array([1.0, 0.6, 0.35, 0.1, -0.25, 0.05])
 WIDE = 0.09 * (np.eye(6) + 0.3)

@@ -5,8 +5,8 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, WeakPrior, load_scan, prior_sensitivity
-from bayes_rs.forward import design_matrix
-from bayes_rs.noise import NoiseModel
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.noise.model import NoiseModel
 
 
 def scene(name, *, relative_variance=0.06, n_record=8, **overrides):

@@ -8,11 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError, NoiseMismatchError
-from bayes_rs.forward import design_matrix
-from bayes_rs.isotropic import isotropic_correlation
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.noise_reading import load_noise
-from bayes_rs.probe import (
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.probe import (
     PROBE_ERROR,
     ContinuousWaveProbe,
     PointProbe,
@@ -22,10 +19,13 @@ from bayes_rs.probe import (
     make_probe,
     probe_difference,
 )
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import cone_direction, load_scan
-from bayes_rs.theory import probe_transfer, probed_covariance, sonic_moments, theory_noise
-from bayes_rs.two_point import radial_covariance
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import cone_direction, load_scan
+from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.theory import probe_transfer, probed_covariance, sonic_moments, theory_noise
+from bayes_rs.turbulence.isotropic import isotropic_correlation
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.two_point import radial_covariance
 
 SEED = load_turbulence("fu-2022")
 OPTICS = ContinuousWaveProbe(wavelength=1.565e-6, aperture_radius=0.028)
@@ -474,7 +474,7 @@ class TestFilesAndNames:
 
 
 def test_a_measure_of_few_points_is_its_own_quadrature():
-    from bayes_rs.probe import _gauss_rule  # noqa: PLC0415
+    from bayes_rs.geometry.probe import _gauss_rule  # noqa: PLC0415
 
     points = np.linspace(-1.0, 1.0, 9)
     weights = np.where(np.abs(points) < 0.3, 2.0, 0.0)

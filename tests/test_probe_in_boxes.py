@@ -8,16 +8,16 @@ from noise_checks import check_noise
 from test_theory_and_simulation import FLOWS, SEED, SIGMAS, box_differences, box_noise, grid_of
 
 from bayes_rs import calibrate, simulate
-from bayes_rs.box_noise import noise_from_boxes
-from bayes_rs.boxes import BoxGrid, BoxMaker
-from bayes_rs.forward import design_matrix
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.probe import ContinuousWaveProbe, PulsedProbe
-from bayes_rs.records import make_records
-from bayes_rs.scan_file import load_scan
-from bayes_rs.stress import pack_stress
-from bayes_rs.theory import theory_noise
-from bayes_rs.virtual import RecordState, grid_for
+from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.probe import ContinuousWaveProbe, PulsedProbe
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.stress import pack_stress
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.records.making import make_records
+from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
+from bayes_rs.simulation.virtual import RecordState, grid_for
+from bayes_rs.turbulence.mann import MannTurbulence
 
 PROBES = {
     "continuous-wave": ContinuousWaveProbe(rayleigh_length=6.1),

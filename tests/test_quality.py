@@ -24,8 +24,8 @@ from bayes_rs.quality.stationarity import (
     share_between_parts,
     trend,
 )
-from bayes_rs.record_samples import sort_samples
-from bayes_rs.records import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, describe_report, make_records
+from bayes_rs.records.making import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, describe_report, make_records
+from bayes_rs.records.record_samples import sort_samples
 
 START = np.datetime64("2020-09-03T19:00", "ns")
 SCAN = brs.load_scan("6-beam")

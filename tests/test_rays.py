@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from ray_files import AZIMUTH, ELEVATION, six_beam
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.matching import SINGLE_GATE_SHARE, directions_in_words, match_rays
 from bayes_rs.readers.rays import Rays, angles_of, direction_of
 from bayes_rs.readers.samples import join_samples
-from bayes_rs.records import make_records
-from bayes_rs.scan import Scan
+from bayes_rs.records.making import make_records
 
 SIX = six_beam(100.0)
 GATES = np.array([50.0, 100.0, 150.0])

@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.quality import MAD_TO_SIGMA, group_median, is_spike
 from bayes_rs.readers import read_radial_velocity
-from bayes_rs.records import BEAM_FLAGS, RECORD_FLAGS, describe_report, make_records
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
+from bayes_rs.records.making import BEAM_FLAGS, RECORD_FLAGS, describe_report, make_records
 
 ROUNDING = 1e-12
 START = np.datetime64("2020-09-03T19:00", "ns")

@@ -7,12 +7,12 @@ import pytest
 from scenes import draw_variances, plain_noise
 
 from bayes_rs import MannTurbulence, WeakPrior, load_scan, theory_bank
-from bayes_rs.batch import Batch, FitOptions, fit_batch, make_posterior
-from bayes_rs.forward import design_matrix
-from bayes_rs.likelihood import reduced_log_normal_likelihood
-from bayes_rs.noise import NoiseBank
-from bayes_rs.nuisance import Nuisances
-from bayes_rs.reduced_noise import ReducedNoise
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.log_normal import reduced_log_normal_likelihood
+from bayes_rs.likelihoods.reduced_noise import ReducedNoise
+from bayes_rs.noise.model import NoiseBank
+from bayes_rs.posteriors.batch import Batch, FitOptions, fit_batch, make_posterior
+from bayes_rs.posteriors.nuisance import Nuisances
 
 OPTIONS = FitOptions(
     prior=WeakPrior(),

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise
 
-from bayes_rs import diagnostics, load_scan
-from bayes_rs.forward import design_matrix
-from bayes_rs.likelihood import LogNormalLikelihood, log_normal_likelihood
-from bayes_rs.posterior import Posterior
-from bayes_rs.prior import FlatPrior, WeakPrior
-from bayes_rs.proposal import laplace_proposal
-from bayes_rs.sampling import SAMPLERS, sample
-from bayes_rs.sampling.chains import N_CHAIN, N_ENSEMBLE
-from bayes_rs.sampling.ensemble import RecordSampler
-from bayes_rs.sampling.pareto import pareto_k
-from bayes_rs.sampling.streams import RecordStreams
+from bayes_rs import load_scan
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.log_normal import LogNormalLikelihood, log_normal_likelihood
+from bayes_rs.posteriors import diagnostics
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.proposal import laplace_proposal
+from bayes_rs.posteriors.sampling import SAMPLERS, sample
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
+from bayes_rs.posteriors.sampling.ensemble import RecordSampler
+from bayes_rs.posteriors.sampling.pareto import pareto_k
+from bayes_rs.posteriors.sampling.streams import RecordStreams
+from bayes_rs.priors.registry import FlatPrior, WeakPrior
 
 QUICK = ("emcee", "direct", "auto")
 

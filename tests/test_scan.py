@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_rs import InputError, Scan, load_scan
+from bayes_rs.geometry.probe import ContinuousWaveProbe, PointProbe
+from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
+from bayes_rs.geometry.scan_file import cone_direction
 from bayes_rs.models import models_folder, preset_names
-from bayes_rs.probe import ContinuousWaveProbe, PointProbe
-from bayes_rs.scan import tilt_matrix, yaw_matrix
-from bayes_rs.scan_file import cone_direction
 
 ANGLE = st.floats(-np.pi, np.pi)
 

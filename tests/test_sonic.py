@@ -9,17 +9,17 @@ from scenes import records_of
 from scipy import stats
 
 from bayes_rs import calibrate, fit, load_noise, load_scan, load_turbulence, noise_for_records
+from bayes_rs.calibration.bank import theory_bank
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.forward import design_matrix
-from bayes_rs.job import run_fit
-from bayes_rs.lines import LineMaker
-from bayes_rs.noise_bank import theory_bank
-from bayes_rs.nuisance import Nuisances
-from bayes_rs.prior import WeakPrior
-from bayes_rs.scan import Scan
-from bayes_rs.sonic import CLIP_LIMIT, SonicFactor, factored_tensor, match_factor
-from bayes_rs.stress import is_realizable, pack_stress, unpack_stress
-from bayes_rs.theory import theory_noise
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.stress import is_realizable, pack_stress, unpack_stress
+from bayes_rs.jobs.fit_job import run_fit
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.posteriors.sonic import CLIP_LIMIT, SonicFactor, factored_tensor, match_factor
+from bayes_rs.priors.registry import WeakPrior
+from bayes_rs.simulation.lines import LineMaker
 
 SEED = load_turbulence("fu-2022")
 WIND_SPEED = 10.0

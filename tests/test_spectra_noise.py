@@ -8,9 +8,9 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 import bayes_rs as brs
-from bayes_rs.batch import Batch
-from bayes_rs.fitting import fit_options
-from bayes_rs.lines import LineMaker
+from bayes_rs.posteriors.batch import Batch
+from bayes_rs.results.fitting import fit_options
+from bayes_rs.simulation.lines import LineMaker
 from bayes_rs.spectra.structure_noise import intercept_weights, structure_covariance, structure_function
 
 FLOW = brs.load_turbulence("fu-2022")

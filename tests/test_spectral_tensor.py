@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
-from bayes_rs.spectral_tensor import eddy_lifetime, spectral_tensor
+from bayes_rs.turbulence.spectral_tensor import eddy_lifetime, spectral_tensor
 
 UNIT = {"dissipation": 1.0, "length_scale": 1.0}
 ROUNDING = 1e-13  # a few hundred roundings of double precision

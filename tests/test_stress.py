@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bayes_rs import STRESSES, InputError
-from bayes_rs.scan import tilt_matrix, yaw_matrix
-from bayes_rs.stress import is_realizable, pack_stress, principal_variances, rotate_stress, unpack_stress
+from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
+from bayes_rs.geometry.stress import is_realizable, pack_stress, principal_variances, rotate_stress, unpack_stress
 
 STRESS = arrays(np.float64, 6, elements=st.floats(-5.0, 5.0))
 

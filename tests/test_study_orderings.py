@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from bayes_rs import compare, load_scan, load_turbulence, sight, theory_noise
-from bayes_rs.comparing import truth_of
-from bayes_rs.forward import design_matrix
-from bayes_rs.stress import STRESSES
+from bayes_rs.design.comparing import truth_of
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.stress import STRESSES
 
 FLOW = load_turbulence("fu-2022")
 WIND_SPEED = 10.0

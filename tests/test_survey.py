@@ -10,15 +10,15 @@ import pytest
 from ray_files import RayTable, e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.probe import make_probe
+from bayes_rs.geometry.probe import make_probe
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.readers.rays import angles_of, direction_of
 from bayes_rs.readers.survey import find_scan
-from bayes_rs.records import make_records
-from bayes_rs.scan_file import load_scan
-from bayes_rs.scan_writing import save_scan
-from bayes_rs.virtual import simulate
+from bayes_rs.records.making import make_records
+from bayes_rs.simulation.virtual import simulate
+from bayes_rs.turbulence.mann import MannTurbulence
 
 SIX = six_beam(100.0, 150.0)
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)

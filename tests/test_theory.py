@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.stress import unpack_stress
-from bayes_rs.theory import sample_counts, sonic_moments, theory_noise
-from bayes_rs.two_point import radial_covariance
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.noise.theory import sample_counts, sonic_moments, theory_noise
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.two_point import radial_covariance
 
 SEED = load_turbulence("fu-2022")
 

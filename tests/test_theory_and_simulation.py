@@ -7,15 +7,15 @@ import pytest
 from scipy import stats
 from test_calibration import exact_covariance
 
-from bayes_rs.box_noise import noise_from_boxes
-from bayes_rs.boxes import BoxGrid, BoxMaker
-from bayes_rs.lines import LineMaker
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.probe import PointProbe, make_probe
-from bayes_rs.scan_file import load_scan
-from bayes_rs.theory import theory_noise
-from bayes_rs.toeplitz import toeplitz_inner, toeplitz_trace
-from bayes_rs.virtual import RecordState
+from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs.geometry.probe import PointProbe, make_probe
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
+from bayes_rs.simulation.lines import LineMaker
+from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 SEED = load_turbulence("fu-2022")
 SMALL_EDDIES = MannTurbulence(dissipation=0.05, length_scale=20.0, gamma=2.0, name="small")

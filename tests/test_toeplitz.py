@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.toeplitz import toeplitz_inner, toeplitz_trace
+from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 
 def dense(diagonals, n_row, n_column):

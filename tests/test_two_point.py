@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import integrate, interpolate
 
-from bayes_rs import two_point
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence, load_turbulence
-from bayes_rs.one_point import ISOTROPIC_VARIANCE, isotropic_spectra, one_point_spectra, scaled_stresses
-from bayes_rs.spectral_tensor import lifetime_shape, scaled_tensor
-from bayes_rs.stress import unpack_stress
-from bayes_rs.two_point import cross_spectra, radial_covariance, velocity_covariance
+from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.turbulence import two_point
+from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.one_point import ISOTROPIC_VARIANCE, isotropic_spectra, one_point_spectra, scaled_stresses
+from bayes_rs.turbulence.spectral_tensor import lifetime_shape, scaled_tensor
+from bayes_rs.turbulence.two_point import cross_spectra, radial_covariance, velocity_covariance
 
 SEED = load_turbulence("fu-2022")
 UNIT = MannTurbulence(dissipation=1.0, length_scale=1.0, gamma=3.2)

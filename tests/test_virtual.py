@@ -9,15 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayes_rs.boxes import Box, BoxGrid, BoxMaker
 from bayes_rs.errors import InputError, MissingExtraError
-from bayes_rs.forward import radial_variance
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.probe import ContinuousWaveProbe, PulsedProbe
-from bayes_rs.records import make_records
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.virtual import (
+from bayes_rs.geometry.forward import radial_variance
+from bayes_rs.geometry.probe import ContinuousWaveProbe, PulsedProbe
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.records.making import make_records
+from bayes_rs.simulation.boxes import Box, BoxGrid, BoxMaker
+from bayes_rs.simulation.virtual import (
     SIMULATORS,
     RecordState,
     beam_lines,
@@ -28,6 +27,7 @@ from bayes_rs.virtual import (
     sample_records,
     simulate,
 )
+from bayes_rs.turbulence.mann import MannTurbulence
 
 GRID = BoxGrid((64, 12, 10), (5.0, 7.0, 9.0))
 SETTINGS = {"wind_speed": 10.0, "duration": 60.0, "n_records": 5, "seed": 3}

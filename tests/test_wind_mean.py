@@ -7,8 +7,8 @@ from scipy import stats
 
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence, mean_wind
-from bayes_rs.records import RECORD_FLAGS
-from bayes_rs.wind.least_squares import horizontal_wind, solve_wind
+from bayes_rs.records.least_squares import horizontal_wind, solve_wind
+from bayes_rs.records.making import RECORD_FLAGS
 from bayes_rs.wind.mean_error import record_mean_covariance
 
 FLOW = load_turbulence("fu-2022")
@@ -230,7 +230,7 @@ class TestErrorOfMeans:
         if name == "6-beam":
             whole = brs.radial_variance(scan, FLOW.stresses())
         else:
-            from bayes_rs.theory import probed_covariance  # noqa: PLC0415
+            from bayes_rs.noise.theory import probed_covariance  # noqa: PLC0415
 
             n, zero = scan.line_of_sight, np.zeros((scan.n_beam, 2))
             length = np.tile(scan.probe_length[:, None], (1, 2))

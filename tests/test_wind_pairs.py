@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 import bayes_rs as brs
 from bayes_rs import InputError, Scan, load_scan, load_turbulence, pair_stresses, reconstruct_pairs
-from bayes_rs.scan import yaw_matrix
-from bayes_rs.stress import unpack_stress
+from bayes_rs.geometry.scan import yaw_matrix
+from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.wind.pairs import _matched
 
 FLOW = load_turbulence("fu-2022")

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from ray_files import rays_of, six_beam, windcube_sweep, write_windcube
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.windcube import read_windcube, recognises_windcube, windcube_rays
-from bayes_rs.records import make_records
-from bayes_rs.virtual import simulate
+from bayes_rs.records.making import make_records
+from bayes_rs.simulation.virtual import simulate
+from bayes_rs.turbulence.mann import MannTurbulence
 
 SIX = six_beam(100.0, 150.0)
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)

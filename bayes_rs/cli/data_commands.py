@@ -17,7 +17,7 @@ from bayes_rs.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from bayes_rs.noise import NoiseBank, NoiseModel
+    from bayes_rs.noise.model import NoiseBank, NoiseModel
 
 
 @click.command()
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=int, default=1, show_default=True)
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
-    from bayes_rs.demo import run_demo
+    from bayes_rs.jobs.demo import run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
         click.echo(line)
@@ -35,9 +35,9 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
 @click.command()
 def scans() -> None:
     """List the shipped scans and what each can see of the six stresses."""
-    from bayes_rs.forward import sight
+    from bayes_rs.geometry.forward import sight
+    from bayes_rs.geometry.scan_file import load_scan
     from bayes_rs.models import preset_names
-    from bayes_rs.scan_file import load_scan
 
     click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
     for name in preset_names("scans"):
@@ -79,8 +79,8 @@ def plan(
     scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
 ) -> None:
     """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
-    from bayes_rs.mann import load_turbulence
-    from bayes_rs.planning import plan as make_plan
+    from bayes_rs.design.planning import plan as make_plan
+    from bayes_rs.turbulence.mann import load_turbulence
 
     made = make_plan(
         chosen_scan({"scan_name": scan, **scan_options}),
@@ -129,9 +129,9 @@ def calibrate(
     **scan_options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
-    from bayes_rs.calibration import calibrate as run_calibration
-    from bayes_rs.mann import load_turbulence
+    from bayes_rs.calibration.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
+    from bayes_rs.turbulence.mann import load_turbulence
 
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
@@ -152,7 +152,7 @@ def calibrate(
 
 
 def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
-    from bayes_rs.noise import NoiseBank
+    from bayes_rs.noise.model import NoiseBank
 
     models = noise.models if isinstance(noise, NoiseBank) else (noise,)
     return [

@@ -11,16 +11,21 @@ import click
 from bayes_rs.cli.options import (
     NoiseVariance,
     chosen_nuisances,
+    chosen_scan,
     nuisance_options,
     read_or_make_records,
+    read_series,
+    reading_choices,
     reading_options,
+    record_choices,
     record_options,
+    records_of,
     scan_options,
 )
 
 if TYPE_CHECKING:
-    from bayes_rs.job import Outcome
-    from bayes_rs.long_job import LongOutcome
+    from bayes_rs.jobs.fit_job import Outcome
+    from bayes_rs.jobs.long_job import LongOutcome
 
 EXIT_FLAGGED = 1
 _JOB_OPTIONS = (
@@ -100,37 +105,68 @@ _SENSITIVITY_OPTIONS = (
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option(
     "--draws",
-    type=click.Choice(["full", "float32", "float64", "none"]),
+    type=click.Choice(["full", "float32", "float64", "zarr", "none"]),
     default="full",
     show_default=True,
     help="What is kept of the draws. full: the result in one NetCDF file, with figures, for up to 2000 records. "
-    "The others are for any number of records, part by part into Parquet tables.",
+    "The others are for any number of records, part by part into Parquet tables, or a Zarr store beside them; then "
+    "files are read piece by piece, and a file that cannot be used is named at the end.",
 )
 @click.option("--workers", type=int, default=1, show_default=True, help="Processes that share the work; not with full.")
+@click.option("--scheduler", help="Address of a Dask scheduler whose workers share the work; not with full.")
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run of the same command; not with full.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
 def fit(
-    files: tuple[Path, ...], output: Path, draws: str, workers: int, resume: bool, overwrite: bool, **options: Any
+    files: tuple[Path, ...],
+    output: Path,
+    draws: str,
+    workers: int,
+    scheduler: str | None,
+    resume: bool,
+    overwrite: bool,
+    **options: Any,
 ) -> None:
     """Estimate the Reynolds stresses of every record, with credible intervals.
 
-    FILES are radial velocities, or records that `bayes-rs records` wrote: of a year, one file a month, say.
+    FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote: of a year, one
+    file a month, say.
     """
-    from bayes_rs.job import run_fit
-    from bayes_rs.long_job import MOST_FULL, run_long_fit
+    from bayes_rs.jobs.fit_job import open_record_files, run_fit
+    from bayes_rs.jobs.long_job import MOST_FULL, run_folder_fit, run_long_fit
     from bayes_rs.output import check_output_folder
 
     if not resume:
         check_output_folder(output, overwrite=overwrite)
-    made, scan = read_or_make_records(files, options)
+    scan = chosen_scan(options)
+    made = open_record_files(files, scan)
     common: dict[str, Any] = {
         **{name: options[name] for name in _JOB_OPTIONS},
-        "nuisances": chosen_nuisances(made, options),
         "overwrite": overwrite,
         "say": lambda line: click.echo(line, err=True),
-        "source_files": [file.name for file in files],
     }
+    shared: dict[str, Any] = {"draws": draws, "workers": workers, "scheduler": scheduler, "resume": resume}
+    outcome: Outcome | LongOutcome
+    if made is None and draws != "full":
+        if options["motion"]:
+            raise click.UsageError(
+                "--motion needs all records at once: make them with bayes-rs records --motion first, and fit those."
+            )
+        outcome = run_folder_fit(
+            [str(file) for file in files],
+            scan,
+            output,
+            reading=reading_choices({**options, "on_bad_file": "skip"}),
+            recording=record_choices(options),
+            nuisances=chosen_nuisances(None, options),
+            **common,
+            **shared,
+        )
+        _tell(outcome, output)
+        return
+    if made is None:
+        made = records_of(read_series(files, scan, options), scan, options)
+    common |= {"nuisances": chosen_nuisances(made, options), "source_files": [file.name for file in files]}
     n_record = made.sizes["record"]
     if draws == "full" and n_record > MOST_FULL:
         click.echo(
@@ -139,16 +175,20 @@ def fit(
             err=True,
         )
         draws = "none"
-    outcome: Outcome | LongOutcome
     if draws == "full":
-        if resume or workers != 1:
+        if resume or workers != 1 or scheduler is not None:
             raise click.UsageError(
-                f"--resume and --workers are not for --draws full, which up to {MOST_FULL} records have by default: "
-                "add --draws none, float32 or float64."
+                f"--resume, --workers and --scheduler are not for --draws full, which up to {MOST_FULL} records have "
+                "by default: add --draws none, float32, float64 or zarr."
             )
         outcome = run_fit(made, scan, output, **common)
     else:
-        outcome = run_long_fit(made, scan, output, draws=draws, workers=workers, resume=resume, **common)
+        outcome = run_long_fit(made, scan, output, **{**shared, "draws": draws}, **common)
+    _tell(outcome, output)
+
+
+def _tell(outcome: Outcome | LongOutcome, output: Path) -> None:
+    """Say what came of a fit; exit with 1 if there were failures."""
     for line in outcome.words:
         click.echo(line)
     click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
@@ -200,8 +240,8 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
     """
     from contextlib import nullcontext
 
+    from bayes_rs.jobs.sensitivity_job import run_sensitivity, sensitivity_lines
     from bayes_rs.output import output_file
-    from bayes_rs.sensitivity_job import run_sensitivity, sensitivity_lines
 
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
         made, scan = read_or_make_records(files, options)
@@ -236,9 +276,9 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
     """Draw the posterior of one record of a fit, with the outline of the prior."""
-    from bayes_rs.job import open_result
+    from bayes_rs.jobs.fit_job import open_result
     from bayes_rs.output import output_file
-    from bayes_rs.plots import plot_corner
+    from bayes_rs.results.plots import plot_corner
 
     figure = plot_corner(open_result(folder), record)
     picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"

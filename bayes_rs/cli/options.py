@@ -11,8 +11,8 @@ import click
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayes_rs.nuisance import Nuisances
-    from bayes_rs.scan import Scan
+    from bayes_rs.geometry.scan import Scan
+    from bayes_rs.posteriors.nuisance import Nuisances
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -60,7 +60,13 @@ scan_options = _together(
 
 
 reading_options = _together(
-    click.option("--format", "file_format", default="auto", show_default=True, help="auto, long, wide or netcdf."),
+    click.option(
+        "--format",
+        "file_format",
+        default="auto",
+        show_default=True,
+        help="auto, long, wide, netcdf, windcube, e-windlidar, halo or spinnerlidar.",
+    ),
     click.option(
         "--column",
         "columns",
@@ -84,6 +90,21 @@ reading_options = _together(
     click.option("--separator", help="Between the columns of a CSV file."),
     click.option("--decimal", help="Decimal mark of a CSV file."),
     click.option("--status-valid", type=float, help="Status of a good sample."),
+    click.option(
+        "--time-stamp",
+        type=click.Choice(["start", "middle", "end"]),
+        help="What a time in the files stands for: start, middle or end of a sample.",
+    ),
+    click.option("--sample-duration", type=float, help="Length of a sample, s, for --time-stamp."),
+    click.option("--angle-tolerance", "angle_tolerance_deg", type=float, help="Of a ray from its beam, degrees."),
+    click.option("--range-tolerance", type=float, help="Of a gate from a beam's focus distance, m."),
+    click.option(
+        "--on-bad-file",
+        type=click.Choice(["error", "skip"]),
+        default="error",
+        show_default=True,
+        help="What to do with a file that cannot be used.",
+    ),
     click.option(
         "--out-of-order",
         type=click.Choice(["error", "sort"]),
@@ -203,7 +224,7 @@ nuisance_options = _together(
 
 def chosen_scan(options: dict[str, Any]) -> Scan:
     """Load the scan that the options name, mounted as they say."""
-    from bayes_rs.scan_file import load_scan
+    from bayes_rs.geometry.scan_file import load_scan
 
     distances = options["focus_distance"]
     return load_scan(
@@ -215,17 +236,17 @@ def chosen_scan(options: dict[str, Any]) -> Scan:
     )
 
 
-def chosen_nuisances(records: xr.Dataset, options: dict[str, Any]) -> Nuisances:
+def chosen_nuisances(records: xr.Dataset | None, options: dict[str, Any]) -> Nuisances:
     """Return what the options say is uncertain beside R."""
-    from bayes_rs.mann import load_turbulence
-    from bayes_rs.nuisance import Nuisances
+    from bayes_rs.posteriors.nuisance import Nuisances
+    from bayes_rs.turbulence.mann import load_turbulence
 
     length_scale = options["length_scale"]
     if length_scale is not None and not options["length_scale_sd"] > 0.0:
         raise click.UsageError(
             "--length-scale is only used with --length-scale-sd: give both, or another --turbulence."
         )
-    made_here = options["noise_file"] is None and "length_scale" not in records
+    made_here = options["noise_file"] is None and (records is None or "length_scale" not in records)
     if options["length_scale_sd"] > 0.0 and length_scale is None and made_here:
         length_scale = load_turbulence(options["turbulence"]).length_scale
     return Nuisances(
@@ -243,7 +264,7 @@ def chosen_nuisances(records: xr.Dataset, options: dict[str, Any]) -> Nuisances:
 
 def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[xr.Dataset, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
-    from bayes_rs.job import open_record_files
+    from bayes_rs.jobs.fit_job import open_record_files
 
     scan = chosen_scan(options)
     if (made := open_record_files(files, scan)) is not None:
@@ -260,7 +281,20 @@ def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) ->
 
 def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
     """Return the reading options by the names of `bayes_rs.read_radial_velocity`."""
-    same = ("file_format", "positive", "velocity_unit", "time_zone", "separator", "decimal", "status_valid")
+    same = (
+        "file_format",
+        "positive",
+        "velocity_unit",
+        "time_zone",
+        "time_stamp",
+        "sample_duration",
+        "separator",
+        "decimal",
+        "status_valid",
+        "angle_tolerance_deg",
+        "range_tolerance",
+        "on_bad_file",
+    )
     numbers = _pairs(options["beam_numbers"], "--beam-number")
     return {
         **{name: options[name] for name in (*same, "out_of_order")},
@@ -272,7 +306,7 @@ def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
 
 def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Dataset:
     """Make records as the options say, and say on stderr what was read and dropped."""
-    from bayes_rs.records import describe_report, make_records
+    from bayes_rs.records.making import describe_report, make_records
 
     made = make_records(series, scan, **record_choices(options))
     for line in describe_report(made):

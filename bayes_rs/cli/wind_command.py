@@ -34,8 +34,8 @@ def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any)
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
-    from bayes_rs.mann import load_turbulence
     from bayes_rs.output import output_file
+    from bayes_rs.turbulence.mann import load_turbulence
     from bayes_rs.wind.mean_vector import mean_wind
     from bayes_rs.wind.profile import wind_profile
 

@@ -1,1 +1,1 @@
-"""The family of priors: one interface, one module per prior. `bayes_rs.prior` finds them by name."""
+"""The family of priors: one interface, one module per prior. `bayes_rs.priors.registry` finds them by name."""

@@ -17,8 +17,8 @@ LARGEST_GAMMA = 6.0
 """Where the table of shapes ends."""
 
 # Chebyshev coefficients in 2 asinh(Γ)/asinh(6) − 1 of ln(uu/s), ln(vv/uu), ln(ww/uu) and artanh ρ_uw of the Mann model,
-# s = αε^(2/3) L^(2/3); the values come from bayes_rs.one_point.scaled_stresses at 22 nodes (seconds of quadrature), and
-# a test compares them with it.
+# s = αε^(2/3) L^(2/3); the values come from
+# bayes_rs.turbulence.one_point.scaled_stresses at 22 nodes (seconds of quadrature); a test compares them with it.
 _SHAPE = np.array(
     [
         [

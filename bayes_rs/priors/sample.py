@@ -12,8 +12,8 @@ from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.stress import principal_variances
 from bayes_rs.priors.interface import N_COORDINATE, NormalPrior, stress_from_correlations
-from bayes_rs.stress import principal_variances
 
 LEAST_SAMPLE = 50
 """Fewest tensors that a `SamplePrior` is made from: its 5 and 95 % points then rest on three tensors each."""

@@ -50,7 +50,7 @@ def is_spike(velocity: FloatArray, group: IntArray, *, window: int, threshold: f
 
     Notes
     -----
-    m is the median of the w usable samples of the same record and beam about the sample, MAD the median of |v − m| over the record
-    and beam. Where MAD is zero (a value that repeats) the rule has no scale and drops nothing.
+    m is the median of the w usable samples of the same record and beam about the sample, MAD the median of |v − m| over
+    them all. Where MAD is zero (a value that repeats) the rule has no scale and drops nothing.
     """
     return is_far(np.abs(velocity - running_median(velocity, group, window=window)), group, threshold=threshold)

@@ -16,19 +16,19 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.campaign import part_files, read_summary
-from bayes_rs.direction_table import directions
-from bayes_rs.draw_store import check_zarr
+from bayes_rs.campaigns.campaign import part_files, read_summary
+from bayes_rs.campaigns.draw_store import check_zarr
 from bayes_rs.errors import InputError
-from bayes_rs.forward import sight
-from bayes_rs.job import POSTERIOR_FILE, open_result
+from bayes_rs.geometry.forward import sight
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.jobs.fit_job import POSTERIOR_FILE, open_result
 from bayes_rs.models import preset_names
 from bayes_rs.output import RUN_FILE
-from bayes_rs.result import group
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.stress import STRESSES
-from bayes_rs.summarizing import DIAGNOSTICS, summary
+from bayes_rs.results.direction_table import directions
+from bayes_rs.results.result import group
+from bayes_rs.results.summarizing import DIAGNOSTICS, summary
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
 """Columns of the summary that the page shows."""

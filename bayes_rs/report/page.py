@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs.derived import lumley_coordinates
-from bayes_rs.job import FAILURES
-from bayes_rs.records import describe_report
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.jobs.fit_job import FAILURES
+from bayes_rs.records.making import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
 from bayes_rs.report.folder import FitFolder
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
-from bayes_rs.result import FLAGS
-from bayes_rs.stress import STRESSES
+from bayes_rs.results.derived import lumley_coordinates
+from bayes_rs.results.result import FLAGS
 
 MOST_OPTIONS = 1500
 """Records up to which the picker is a list; beyond, a time is typed."""

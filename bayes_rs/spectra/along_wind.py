@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
-from bayes_rs.scan import Scan
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.lag_window import lag_windows
 from bayes_rs.spectra.radial_spectrum import check_spectra

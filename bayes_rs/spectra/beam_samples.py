@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality import QualityRules, apply_filters
-from bayes_rs.record_samples import sort_samples
-from bayes_rs.scan import Scan
+from bayes_rs.records.record_samples import sort_samples
 
 LARGEST_SPREAD = 0.25
 """Samples farther than this from an even spacing, root mean square in sampling intervals, have no spectrum here."""

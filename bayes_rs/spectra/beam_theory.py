@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.probe import Probe
-from bayes_rs.theory import probed_covariance
+from bayes_rs.geometry.probe import Probe
+from bayes_rs.noise.theory import probed_covariance
+from bayes_rs.turbulence.mann import MannTurbulence
 
 
 def scaled_autocovariance(

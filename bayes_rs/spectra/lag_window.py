@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.log_transform import ComplexArray
+from bayes_rs.turbulence.log_transform import ComplexArray
 
 
 def taper_weights(present: NDArray[np.bool_], tapers: int) -> FloatArray:

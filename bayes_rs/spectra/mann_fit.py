@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from bayes_rs._validation import FloatArray, check_choice, check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.progress import progress
-from bayes_rs.scan import Scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.information import information_ratio
 from bayes_rs.spectra.lag_window import lag_windows, ordinates

@@ -8,12 +8,12 @@ from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.scan import Scan
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.mann_fit import fit_spectra
 from bayes_rs.spectra.radial_spectrum import check_spectra
 from bayes_rs.spectra.structure_noise import intercept_weights, structure_covariance, structure_function
+from bayes_rs.turbulence.mann import MannTurbulence
 
 NOISE_METHODS = ("structure", "spectrum")
 """Ways to tell the instrument's noise from the turbulence."""

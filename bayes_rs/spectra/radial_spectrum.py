@@ -8,7 +8,7 @@ from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_count, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.scan import Scan
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.spectra.beam_samples import beam_samples
 from bayes_rs.spectra.lag_window import ordinate_correlation, ordinates, taper_weights
 

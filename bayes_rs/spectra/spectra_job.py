@@ -10,12 +10,12 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
-from bayes_rs.mann import load_turbulence
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.output import check_output_folder, output_folder, write_run
-from bayes_rs.scan import Scan
 from bayes_rs.spectra.mann_fit import fit_spectra, pool_length_scale
 from bayes_rs.spectra.noise_estimate import estimate_instrument_noise
 from bayes_rs.spectra.radial_spectrum import average_spectra, radial_spectra
+from bayes_rs.turbulence.mann import load_turbulence
 
 _FIT_COLUMNS = (
     "length_scale",

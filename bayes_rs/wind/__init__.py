@@ -1,1 +1,1 @@
-"""Geometry in the field and the mean wind: attitude, mean wind and its error, profiles, motion, beam pairs, frames."""
+"""The mean wind in the field: its error, profiles, motion of the lidar, pairs of beams."""

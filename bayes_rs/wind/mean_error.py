@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.interpolation import find_net
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.scan import Scan
-from bayes_rs.theory import _distinct_pairs, probed_covariance, sample_counts
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.theory import _distinct_pairs, probed_covariance, sample_counts
+from bayes_rs.turbulence.interpolation import find_net
+from bayes_rs.turbulence.mann import MannTurbulence
 
 SCALES = ("record", "turbulence")
 """How large the turbulence is taken to be: as a record's own variances say, or as the turbulence says."""

@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.records import RECORD_FLAGS
-from bayes_rs.scan import Scan
-from bayes_rs.wind.attitude import record_direction
-from bayes_rs.wind.least_squares import horizontal_wind, solve_wind
+from bayes_rs.geometry.attitude import record_direction
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.records.least_squares import horizontal_wind, solve_wind
+from bayes_rs.records.making import RECORD_FLAGS
+from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
 
 AXES = ("x", "y", "z")

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.attitude import level_direction, roll_matrix
+from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import open_table
-from bayes_rs.records import make_records
-from bayes_rs.scan import Scan, tilt_matrix, yaw_matrix
-from bayes_rs.wind.attitude import level_direction, roll_matrix
+from bayes_rs.records.making import make_records
 from bayes_rs.wind.mean_vector import mean_wind
 
 ANGLES = ("tilt_deg", "roll_deg", "heading_deg")

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.scan import Scan, yaw_matrix
-from bayes_rs.stress import unpack_stress
-from bayes_rs.theory import probed_covariance
+from bayes_rs.geometry.scan import Scan, yaw_matrix
+from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.noise.theory import probed_covariance
+from bayes_rs.turbulence.mann import MannTurbulence
 
 PLANES: dict[str, tuple[int, int]] = {"horizontal": (0, 1), "vertical": (0, 2)}
 """Planes of pairs, and the axes of the levelled lidar frame whose components they give."""

@@ -12,10 +12,10 @@ from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.scan import Scan
-from bayes_rs.wind.attitude import record_direction
-from bayes_rs.wind.least_squares import RANK_TOLERANCE, horizontal_wind
+from bayes_rs.geometry.attitude import record_direction
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.records.least_squares import RANK_TOLERANCE, horizontal_wind
+from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
 
 VON_KARMAN = 0.4

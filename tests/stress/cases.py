@@ -16,9 +16,9 @@ from scenes import plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.likelihood import LIKELIHOODS, make_likelihood
-from bayes_rs.theory import theory_noise
-from bayes_rs.toeplitz import toeplitz_inner, toeplitz_trace
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, make_likelihood
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 EPS = np.finfo(np.float64).eps
 DIGITS = 50

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.mann import MannTurbulence
-from bayes_rs.scan import Scan
-from bayes_rs.scan_file import load_scan
-from bayes_rs.theory import theory_noise
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.theory import theory_noise
+from bayes_rs.turbulence.mann import MannTurbulence
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
 ROUNDING = 64.0 * np.finfo(np.float64).eps

@@ -1,0 +1,1 @@
+"""Long fits: part by part, by several workers, resumable."""

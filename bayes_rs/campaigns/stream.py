@@ -1,0 +1,357 @@
+"""Records from a series that comes in chunks: the same numbers as from the whole, with memory that does not grow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayes_rs._validation import FloatArray, check_non_negative
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality import IntArray
+from bayes_rs.records.making import (
+    BEAM_FLAGS,
+    RECORD_FLAGS,
+    _check_size,
+    _mean_wind,
+    _report_of_records,
+    _window_ns,
+    make_records,
+)
+
+_OF_CHUNK = ("source_files", "read_report")
+"""Attributes of a series that tell of its chunk only."""
+_SUMMED = ("duplicates_dropped", "samples_used")
+_OF_WIND = sum(RECORD_FLAGS.values())
+
+
+@dataclass(frozen=True)
+class StreamState:
+    """What is known of a series after some of its chunks.
+
+    Parameters
+    ----------
+    time, beam : ndarray of int, shape (n_sample,)
+        Of the samples whose records are still open, in the order in which they came; ns since 1970, and beam numbers.
+    columns : dict of str to ndarray, shape (n_sample,)
+        Their velocities and, where the series has them, CNR, status and others.
+    attributes : dict
+        Those of the series, such as ``status_valid``.
+    latest : int or None
+        Latest time of all samples, ns; None before the first.
+    latest_of_beam : dict of int to int
+        The same for each beam.
+    samples, out_of_order, late : int
+        Samples that came in all, those earlier than one of the same beam before them, and those that came too late.
+    first_late : str
+        The first sample that came too late, in words; empty if there is none.
+    source_files : tuple of str
+        Names of the files that the chunks came from.
+    """
+
+    time: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    beam: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    latest: int | None = None
+    latest_of_beam: Mapping[int, int] = field(default_factory=dict)
+    samples: int = 0
+    out_of_order: int = 0
+    late: int = 0
+    first_late: str = ""
+    source_files: tuple[str, ...] = ()
+
+
+def stream_records(
+    series: Iterable[xr.Dataset], scan: Scan, *, lateness: float | None = None, **options: Any
+) -> xr.Dataset:
+    """Turn radial velocities that come in chunks into records.
+
+    Parameters
+    ----------
+    series : iterable of xarray.Dataset
+        Chunks of radial velocities, as `make_records` takes them, in the order of time. They may end anywhere.
+    scan : Scan
+        The scan they were measured with.
+    lateness : float, optional
+        How far, in seconds, a sample may come behind the latest one before it: records stay open for so long after
+        their end. By default the duration of a record.
+    **options
+        Those of `make_records`.
+
+    Returns
+    -------
+    records : xarray.Dataset
+        What `make_records` returns for the whole series, bit by bit. ``attrs["records_report"]`` also counts the
+        samples that came after their record was closed, ``samples_late``, and names the first.
+
+    Raises
+    ------
+    InputError
+        If `make_records` refuses a chunk or an option, the chunks differ in their variables, or there is no sample.
+
+    Notes
+    -----
+    In memory are the records, one chunk, and the samples of open records. A sample is late if its record ended more
+    than `lateness` before the latest sample that came ahead of it, so it does not matter how the series is cut. Whether
+    blades pass (`QualityRules.blade_frequency`) is a matter of a whole series, and not tested here.
+
+    Examples
+    --------
+    >>> import bayes_rs as brs
+    >>> scan, flow = brs.load_scan("2-beam"), brs.load_turbulence("fu-2022")
+    >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
+    >>> chunks = (series.isel(sample=slice(first, first + 1000)) for first in range(0, 2400, 1000))
+    >>> stream_records(chunks, scan)["variance"].equals(brs.make_records(series, scan)["variance"])
+    True
+    """
+    state = StreamState()
+    blocks = []
+    for chunk in series:
+        state, block = add_chunk(state, chunk, scan, lateness=lateness, **options)
+        blocks += [] if block is None else [block]
+    return join_blocks(blocks, state, scan, **options)
+
+
+def add_chunk(
+    state: StreamState, chunk: xr.Dataset, scan: Scan, *, lateness: float | None = None, **options: Any
+) -> tuple[StreamState, xr.Dataset | None]:
+    """Add one chunk of a series; return the new state, and the records that it completes.
+
+    Parameters
+    ----------
+    state : StreamState
+        After the chunks before; it is not changed.
+    chunk, scan, lateness, options
+        As for `stream_records`.
+
+    Returns
+    -------
+    state : StreamState
+        With the samples of the records that are still open.
+    block : Dataset or None
+        The records that are complete; None if there are none.
+
+    Raises
+    ------
+    InputError
+        As `stream_records`.
+    """
+    duration = options.get("duration", 600.0)
+    window = _window_ns(duration)
+    wait = window if lateness is None else round(check_non_negative(lateness, what="lateness", unit="s") * 1e9)
+    time, beam, columns = _arrays(chunk, scan)
+    if len(time) == 0:
+        return state, None
+    attributes = {name: value for name, value in chunk.attrs.items() if name not in _OF_CHUNK}
+    if state.latest is not None:
+        _check_alike(state, columns, attributes)
+    before = np.maximum.accumulate(np.concatenate([[time[0] if state.latest is None else state.latest], time]))
+    late = time // window < (before[:-1] - wait) // window
+    out_of_order, latest_of_beam = _out_of_order(time, beam, state.latest_of_beam)
+    if late.any() and not state.late:
+        index = int(np.argmax(late))
+        first_late = f"beam {beam[index]} at {_utc(time[index])}, after a sample of {_utc(before[index])}"
+        state = replace(state, first_late=first_late)
+    all_time = np.concatenate([state.time, time[~late]])
+    all_beam = np.concatenate([state.beam, beam[~late]])
+    all_columns = {
+        name: np.concatenate([state.columns[name], values[~late]]) if name in state.columns else values[~late]
+        for name, values in columns.items()
+    }
+    latest = int(before[-1])
+    closed = all_time // window < (latest - wait) // window
+    files = json.loads(chunk.attrs.get("source_files", "[]"))
+    new = replace(
+        state,
+        time=all_time[~closed],
+        beam=all_beam[~closed],
+        columns={name: values[~closed] for name, values in all_columns.items()},
+        attributes=attributes,
+        latest=latest,
+        latest_of_beam=latest_of_beam,
+        samples=state.samples + len(time),
+        out_of_order=state.out_of_order + out_of_order,
+        late=state.late + int(np.count_nonzero(late)),
+        source_files=(*state.source_files, *(name for name in files if name not in state.source_files)),
+    )
+    if not closed.any():
+        return new, None
+    done = _series(
+        all_time[closed], all_beam[closed], {name: values[closed] for name, values in all_columns.items()}, attributes
+    )
+    return new, make_records(done, scan, **options)
+
+
+def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **options: Any) -> xr.Dataset:
+    """Put the records of a stream together, those that are still open with them.
+
+    Parameters
+    ----------
+    blocks : list of Dataset
+        What `add_chunk` returned, in that order.
+    state : StreamState
+        After the last chunk.
+    scan, options
+        As for `stream_records`.
+
+    Returns
+    -------
+    records : Dataset
+        As `stream_records` returns them.
+
+    Raises
+    ------
+    InputError
+        If there is no sample, or the times span too many records.
+    """
+    if len(state.time):
+        last = _series(state.time, state.beam, state.columns, state.attributes)
+        blocks = [*blocks, make_records(last, scan, **options)]
+    if not blocks:
+        raise InputError("Invalid series: it holds no sample; give files with samples.")
+    duration = float(options.get("duration", 600.0))
+    window = _window_ns(duration)
+    number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
+    first = min(int(of[0]) for of in number)
+    n_record = max(int(of[-1]) for of in number) - first + 1
+    present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
+    beams = scan.beam[np.isin(scan.beam, present)]
+    _check_size(n_record, len(beams), np.array([first, first + n_record - 1]) * window, duration)
+    empty = _empty_record(blocks[0], scan, state, options)
+    start = ((first + np.arange(n_record)) * window).astype("datetime64[ns]")
+    rows = [of - first for of in number]
+    column = [np.searchsorted(beams, block["beam"].values, sorter=np.argsort(beams)) for block in blocks]
+    column = [np.argsort(beams)[of] for of in column]
+    variables: dict[str, Any] = {}
+    for name, template in blocks[0].data_vars.items():
+        both = template.dims == ("record", "beam")
+        shape = (n_record, len(beams)) if both else (n_record,)
+        values = np.full(shape, empty[name].values.ravel()[0], dtype=template.dtype)
+        for block, row, of in zip(blocks, rows, column, strict=True):
+            values[np.ix_(row, of) if both else row] = block[name].values
+        variables[str(name)] = (template.dims, values, template.attrs)
+    records = xr.Dataset(
+        variables,
+        coords={"time": ("record", start, blocks[0]["time"].attrs), "beam": ("beam", beams)},
+        attrs=blocks[0].attrs,
+    )
+    # a block does not know of a beam that it lacks and others have: the wind is found again, to the last bit
+    valid = (records["flag"].values & ~np.uint8(BEAM_FLAGS["record_excluded"])) == 0
+    speed, yaw, of_wind = _mean_wind(records["mean"].values, valid, scan.select(beams))
+    records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
+    own = records["record_flag"].values & ~np.uint8(_OF_WIND)
+    records["record_flag"].values[:] = own | of_wind
+    report = _report(blocks, records, state)
+    absent = [number for number in scan.beam.tolist() if number not in beams]
+    files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
+    return records.assign_attrs({**files, "beams_absent": json.dumps(absent), "records_report": json.dumps(report)})
+
+
+def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState) -> dict[str, Any]:
+    """Add up the reports of the blocks; what depends on the whole is counted again."""
+    reports = [json.loads(block.attrs["records_report"]) for block in blocks]
+    beams = records["beam"].values
+    more = {"samples_late": state.late, "first_late": state.first_late} if state.late else {}
+    return {
+        **reports[0],
+        **{name: sum(report[name] for report in reports) for name in _SUMMED},
+        "samples": state.samples,
+        "samples_out_of_order": state.out_of_order,
+        "dropped": {name: sum(report["dropped"][name] for report in reports) for name in reports[0]["dropped"]},
+        "by_beam": _by_beam([report["by_beam"] for report in reports], beams.tolist()),
+        **_report_of_records(records, beams),
+        "blades": [],
+        **more,
+    }
+
+
+def _by_beam(tables: list[dict[str, list[int]]], beams: list[int]) -> dict[str, list[int]]:
+    """Add up counts of samples by beam; a table lacks the beams that its block does, and filters that dropped none."""
+    names = list(dict.fromkeys(name for table in tables for name in table if name != "beam"))
+    total = {name: dict.fromkeys(beams, 0) for name in names}
+    for table in tables:
+        for name in names:
+            for beam, count in zip(table["beam"], table.get(name, [0] * len(table["beam"])), strict=True):
+                total[name][beam] += count
+    return {"beam": beams, **{name: list(of_beam.values()) for name, of_beam in total.items()}}
+
+
+def _arrays(chunk: xr.Dataset, scan: Scan) -> tuple[IntArray, IntArray, dict[str, FloatArray]]:
+    """Return times, beams and columns of a chunk, checked before they are kept beside those of others."""
+    for name in ("radial_velocity", "time", "beam"):
+        if name not in chunk.variables or chunk[name].dims != ("sample",):
+            raise InputError(
+                f"Invalid chunk of a series: it needs {name!r} over the dimension 'sample'; make it with "
+                "stream_radial_velocity."
+            )
+    if not np.issubdtype(chunk["time"].dtype, np.datetime64) or bool(np.isnat(chunk["time"].values).any()):
+        raise InputError("Invalid chunk of a series: every time must be a UTC time of type datetime64.")
+    beam = np.asarray(chunk["beam"].values)
+    foreign = np.setdiff1d(beam, scan.beam)
+    if len(foreign):
+        raise InputError(
+            f"Unknown beam {foreign[0]} in a chunk of a series: the beams of the scan {scan.name!r} are "
+            f"{scan.beam.tolist()}; give the scan that the series was read with."
+        )
+    columns = {str(name): values.values for name, values in chunk.data_vars.items() if values.dims == ("sample",)}
+    return chunk["time"].values.astype("datetime64[ns]").astype(np.int64), beam.astype(np.int64), columns
+
+
+def _check_alike(state: StreamState, columns: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:
+    if set(columns) != set(state.columns):
+        (name, *_) = sorted(set(columns) ^ set(state.columns))
+        which = "the earlier ones have" if name in state.columns else "a later one has"
+        raise InputError(
+            f"The chunks of a series differ: only {which} {name}: give files with the same columns, or fit them "
+            "separately."
+        )
+    one, other = (of.get("status_valid") for of in (state.attributes, attributes))
+    if one != other:
+        raise InputError(
+            f"The chunks of a series count different statuses as valid, {one} and {other}: give "
+            "one with the option status_valid (--status-valid)."
+        )
+
+
+def _out_of_order(time: IntArray, beam: IntArray, latest: Mapping[int, int]) -> tuple[int, dict[int, int]]:
+    """Count the samples that are earlier than one of the same beam before them; return the latest of each beam, too."""
+    order = np.argsort(beam, kind="stable")
+    edges = np.flatnonzero(np.diff(beam[order])) + 1
+    count, after = 0, dict(latest)
+    for part in np.split(order, edges):
+        number, own = int(beam[part[0]]), time[part]
+        highest = np.maximum.accumulate(own)
+        if number in latest:
+            highest = np.maximum(highest, latest[number])
+        count += int(np.count_nonzero(own < highest))
+        after[number] = int(highest[-1])
+    return count, after
+
+
+def _series(
+    time: IntArray, beam: IntArray, columns: Mapping[str, FloatArray], attributes: Mapping[str, Any]
+) -> xr.Dataset:
+    return xr.Dataset(
+        {name: ("sample", values) for name, values in columns.items()},
+        coords={"time": ("sample", time.astype("datetime64[ns]")), "beam": ("sample", beam)},
+        attrs=dict(attributes),
+    )
+
+
+def _empty_record(block: xr.Dataset, scan: Scan, state: StreamState, options: Mapping[str, Any]) -> xr.Dataset:
+    """Return what `make_records` says of a record and beam without a sample: the second of three, of one beam."""
+    window = _window_ns(options.get("duration", 600.0))
+    beam = np.full(2, block["beam"].values[0], dtype=np.int64)
+    columns = {name: np.zeros(2, dtype=values.dtype) for name, values in state.columns.items()}
+    series = _series(np.array([0, 2 * window]), beam, columns, state.attributes)
+    return make_records(series, scan, **options).isel(record=1)
+
+
+def _utc(time: int | np.signedinteger[Any]) -> str:
+    return str(np.datetime64(int(time), "ns").astype("datetime64[ms]")) + "Z"

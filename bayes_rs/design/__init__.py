@@ -1,0 +1,1 @@
+"""Scans compared, traded off and chosen by what they tell of R."""

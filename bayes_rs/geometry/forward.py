@@ -1,0 +1,193 @@
+"""The forward model: from stresses to radial variances, and what of the stresses the beams can see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.stress import STRESSES
+
+RANK_TOLERANCE = 1e-9
+"""A singular value below this fraction of the largest counts as zero: directions are stored to about 1e-16."""
+
+
+def design_matrix(scan: Scan | ArrayLike) -> FloatArray:
+    """Return the matrix that maps the six stresses to radial variances.
+
+    Parameters
+    ----------
+    scan : Scan or array_like, shape (..., n_beam, 3)
+        A scan, or beam vectors n in the mean-wind frame.
+
+    Returns
+    -------
+    matrix : ndarray, shape (..., n_beam, 6)
+        Rows n₁², n₂², n₃², 2n₁n₂, 2n₁n₃, 2n₂n₃, for stresses in the order uu, vv, ww, uv, uw, vw.
+
+    Raises
+    ------
+    InputError
+        If the last dimension of the vectors is not 3.
+
+    Notes
+    -----
+    σ² = n·R n = Σᵢ Σⱼ nᵢ nⱼ Rᵢⱼ, the variance of v_r = n·u. The signs of the cross terms come from n itself;
+    Fu, Peña and Mann (2022), Eq. (4), is this formula with n₁ = −cos φ put in.
+
+    References
+    ----------
+    Eberhard, Cupp and Healy (1989), J. Atmos. Oceanic Technol. 6, 809–819,
+    doi:10.1175/1520-0426(1989)006<0809:DLMOPO>2.0.CO;2.
+
+    Examples
+    --------
+    >>> design_matrix([[-1.0, 0.0, 0.0], [-0.6, 0.0, 0.8]])
+    array([[ 1.  ,  0.  ,  0.  , -0.  , -0.  ,  0.  ],
+           [ 0.36,  0.  ,  0.64, -0.  , -0.96,  0.  ]])
+    """
+    vectors = scan.line_of_sight if isinstance(scan, Scan) else np.asarray(scan, dtype=np.float64)
+    if vectors.ndim < 1 or vectors.shape[-1] != 3:
+        raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
+    first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack(
+        [first**2, second**2, third**2, 2.0 * first * second, 2.0 * first * third, 2.0 * second * third], axis=-1
+    )
+
+
+def radial_variance(scan: Scan | ArrayLike, stress: ArrayLike) -> FloatArray:
+    """Return the radial variance n·R n of each beam.
+
+    Parameters
+    ----------
+    scan : Scan or array_like, shape (n_beam, 3)
+        A scan, or beam vectors n in the mean-wind frame.
+    stress : array_like, shape (..., 6)
+        Stresses uu, vv, ww, uv, uw, vw, m² s⁻².
+
+    Returns
+    -------
+    variance : ndarray, shape (..., n_beam)
+        Radial variances, m² s⁻².
+
+    Examples
+    --------
+    >>> float(radial_variance([[-0.6, 0.0, 0.8]], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[0])
+    1.0
+    """
+    return np.asarray(stress, dtype=np.float64) @ design_matrix(scan).T
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the beams of a scan can see of R.
+
+    Parameters
+    ----------
+    rank : int
+        Number of independent directions of R that the radial variances depend on, at most 6.
+    condition : float
+        Ratio of the largest to the smallest nonzero singular value of the design matrix.
+    unseen : ndarray, shape (6 − rank, 6)
+        Directions of R that change no radial variance, in echelon form: each row leads with a 1.
+    """
+
+    rank: int
+    condition: float
+    unseen: FloatArray
+
+    def in_words(self) -> str:
+        """Say which stresses are seen alone, together with others, or not at all."""
+        if len(self.unseen) == 0:
+            return "sees all six stresses"
+        parts = []
+        touched = np.any(self.unseen != 0.0, axis=0)
+        alone = [name for name, mixed in zip(STRESSES, touched, strict=True) if not mixed]
+        parts.append(f"sees {', '.join(alone)}" if alone else "sees no stress alone")
+        blind = []
+        for rows in _connected(self.unseen):
+            members = np.flatnonzero(np.any(rows != 0.0, axis=0))
+            if len(rows) == len(members):
+                blind += [STRESSES[index] for index in members]
+            elif len(rows) == 1:
+                parts.append(_in_words(rows[0]))
+            else:
+                count = len(members) - len(rows)
+                names = ", ".join(STRESSES[index] for index in members)
+                parts.append(f"sees only {count} combination{'s' if count > 1 else ''} of {names}")
+        if blind:
+            parts.append(f"does not see {', '.join(blind)}")
+        return "; ".join(parts)
+
+
+def sight(scan: Scan | ArrayLike) -> Sight:
+    """Work out what the beams can see of R.
+
+    Parameters
+    ----------
+    scan : Scan or array_like, shape (n_beam, 3)
+        A scan, or beam vectors n in the mean-wind frame.
+
+    Returns
+    -------
+    sight : Sight
+        Rank, condition number, and the directions of R that no beam sees.
+
+    Notes
+    -----
+    From the singular values of the design matrix; those below 1e-9 of the largest count as zero.
+
+    Examples
+    --------
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> sight(load_scan("50-beam")).in_words()
+    'sees uv, uw, vw; sees uu only together with vv + ww'
+    """
+    matrix = design_matrix(scan)
+    _, singular, basis = np.linalg.svd(matrix, full_matrices=True)
+    rank = int(np.count_nonzero(singular > RANK_TOLERANCE * singular[0]))
+    return Sight(rank, float(singular[0] / singular[rank - 1]), _echelon(basis[rank:]))
+
+
+def _echelon(rows: FloatArray) -> FloatArray:
+    """Bring rows to reduced echelon form, entries below the rank tolerance set to exactly zero."""
+    matrix = rows.copy()
+    row = 0
+    for column in range(matrix.shape[1]):
+        if row == len(matrix):
+            break
+        pivot = row + int(np.argmax(np.abs(matrix[row:, column])))
+        if abs(matrix[pivot, column]) < 1e-7:
+            continue
+        matrix[[row, pivot]] = matrix[[pivot, row]]
+        matrix[row] /= matrix[row, column]
+        others = np.arange(len(matrix)) != row
+        matrix[others] -= np.outer(matrix[others, column], matrix[row])
+        row += 1
+    return np.where(np.abs(matrix) < 1e-7, 0.0, matrix)
+
+
+def _connected(rows: FloatArray) -> list[FloatArray]:
+    """Group the rows that share a stress, directly or through other rows."""
+    groups: list[list[int]] = []
+    for index, row in enumerate(rows):
+        joined = [group for group in groups if any(np.any((rows[member] != 0.0) & (row != 0.0)) for member in group)]
+        groups = [group for group in groups if group not in joined] + [[*(m for group in joined for m in group), index]]
+    return [rows[sorted(group)] for group in groups]
+
+
+def _in_words(direction: FloatArray) -> str:
+    """Say which stresses move together along an unseen direction: adding to one is undone by the others."""
+    lead, *others = np.flatnonzero(direction)
+    reference = direction[others[0]]
+    terms: list[str] = []
+    for index in others:
+        ratio = direction[index] / reference
+        size = "" if np.isclose(abs(ratio), 1.0, rtol=1e-6) else f"{abs(ratio):.3g} "
+        sign = " + " if ratio > 0 else " − "
+        terms.append((sign if terms else "") + size + STRESSES[index])
+    return f"sees {STRESSES[lead]} only together with {''.join(terms)}"

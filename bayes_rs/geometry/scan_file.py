@@ -1,0 +1,381 @@
+"""Scans from TOML files: the patterns that beams can be written as, and the overrides that a user may ask for."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.probe import Probe, make_probe
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.models import find_model
+
+Distances = Annotated[list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=1)]
+Angle = Annotated[float, Field(allow_inf_nan=False)]
+OpeningAngle = Annotated[float, Field(ge=0.0, le=90.0, allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False, frozen=True)
+
+
+class _ConeBeams(_Table):
+    """Beams on one cone about the axis, evenly spaced in phase, with or without a beam along the axis."""
+
+    pattern: Literal["cone"]
+    count: Annotated[int, Field(ge=0)]
+    opening_angle_deg: OpeningAngle
+    focus_distance: Distances
+    first_phase_deg: Angle = 90.0
+    centre: bool = False
+    axis: Literal["upwind", "up"] = "upwind"
+
+    def directions(self) -> FloatArray:
+        phase = np.deg2rad(self.first_phase_deg) + 2.0 * np.pi * np.arange(self.count) / max(self.count, 1)
+        opening = np.full(self.count, np.deg2rad(self.opening_angle_deg))
+        if self.centre:
+            phase, opening = np.append(phase, 0.0), np.append(opening, 0.0)
+        return cone_direction(opening, phase) if self.axis == "upwind" else _upward_direction(opening, phase)
+
+
+class _RosetteBeams(_Table):
+    """Beams behind two rotating wedge prisms: the axis is deflected by the sum of two turning deflections."""
+
+    pattern: Literal["rosette"]
+    count: Annotated[int, Field(ge=1)]
+    opening_angle_deg: OpeningAngle
+    turns: tuple[int, int]
+    focus_distance: Distances
+
+    def directions(self) -> FloatArray:
+        angle = 2.0 * np.pi * np.outer(self.turns, np.arange(self.count)) / self.count
+        sideways, upwards = (
+            0.5 * np.deg2rad(self.opening_angle_deg) * np.array([np.cos(angle), np.sin(angle)]).sum(axis=1)
+        )
+        return cone_direction(np.hypot(sideways, upwards), np.arctan2(upwards, sideways))
+
+
+class _Beam(_Table):
+    """One beam: a number, and a direction in one of three notations."""
+
+    id: int
+    opening_angle_deg: OpeningAngle | None = None
+    phase_deg: Angle | None = None
+    sideways_deg: Angle | None = None
+    upwards_deg: Angle | None = None
+    vector: tuple[Angle, Angle, Angle] | None = None
+    focus_distance: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
+    time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+
+    @field_validator("vector")
+    @classmethod
+    def _not_zero(cls, vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if vector is not None and not np.linalg.norm(vector) > 0.0:
+            raise ValueError("the vector of a beam must not be zero; give the direction in which the beam points")
+        return vector
+
+    def direction(self) -> FloatArray:
+        if self.vector is not None:
+            vector = np.asarray(self.vector, dtype=np.float64)
+            return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)
+        if self.opening_angle_deg is not None and self.phase_deg is not None:
+            return cone_direction(np.deg2rad(self.opening_angle_deg), np.deg2rad(self.phase_deg))
+        if self.sideways_deg is not None and self.upwards_deg is not None:
+            side, up = np.deg2rad(self.sideways_deg), np.deg2rad(self.upwards_deg)
+            return np.array([-np.cos(up) * np.cos(side), np.cos(up) * np.sin(side), np.sin(up)])
+        raise InputError(
+            f"Beam {self.id} has no direction: give opening_angle_deg and phase_deg, sideways_deg and upwards_deg, "
+            "or vector."
+        )
+
+
+class _ListedBeams(_Table):
+    """Beams written one by one, with the focus distances of all (planes) or of each, and times if not even."""
+
+    pattern: Literal["list"]
+    beam: Annotated[list[_Beam], Field(min_length=1)]
+    focus_distance: Distances | None = None
+
+    def directions(self) -> FloatArray:
+        return np.array([beam.direction() for beam in self.beam])
+
+
+class _Timing(_Table):
+    """When the beams are sampled."""
+
+    scan_duration: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    planes: Literal["simultaneous", "sequential"] = "simultaneous"
+
+
+class _Mounting(_Table):
+    """How the instrument is mounted."""
+
+    tilt_deg: Angle = 0.0
+    yaw_deg: Angle = 0.0
+
+
+Length = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _PointProbe(_Table):
+    """No probe volume."""
+
+    kind: Literal["point"]
+
+
+class _ContinuousWaveProbe(_Table):
+    """Lorentzian weighting, by its Rayleigh length or by the optics."""
+
+    kind: Literal["continuous-wave"]
+    wavelength: Length | None = None
+    aperture_radius: Length | None = None
+    rayleigh_length: Length | None = None
+
+
+class _PulsedProbe(_Table):
+    """A pulse, convolved with a range gate."""
+
+    kind: Literal["pulsed"]
+    gate_length: Length
+    pulse: Literal["top-hat", "gaussian"] = "top-hat"
+    pulse_length: Length | None = None
+
+
+class _FileFormat(_Table):
+    """How this instrument's files name and sign things; the meaning of each key is in `read_radial_velocity`."""
+
+    columns: dict[str, str] = {}
+    beam_numbers: dict[str, int] = {}
+    positive: Literal["away", "towards"] | None = None
+    velocity_unit: Literal["m/s", "km/h", "knot"] | None = None
+    invalid: list[float] | None = None
+    time_zone: str | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    status_valid: int | None = None
+
+
+class _ScanFile(_Table):
+    title: str
+    source: str
+    beams: Annotated[_ConeBeams | _RosetteBeams | _ListedBeams, Field(discriminator="pattern")]
+    timing: _Timing
+    mounting: _Mounting = _Mounting()
+    file: _FileFormat = _FileFormat()
+    probe: Annotated[_PointProbe | _ContinuousWaveProbe | _PulsedProbe, Field(discriminator="kind")] = _PointProbe(
+        kind="point"
+    )
+
+
+def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float) -> FloatArray:
+    """Return the unit vectors of a forward-looking lidar, n(φ, θ) = (−cos φ, cos θ sin φ, sin θ sin φ).
+
+    Parameters
+    ----------
+    opening_angle : float or ndarray, shape (...)
+        Half-cone opening angle φ from the −x axis, rad.
+    phase : float or ndarray, shape (...)
+        Angle θ from the y axis of the projection on the y–z plane, rad.
+
+    Returns
+    -------
+    direction : ndarray, shape (..., 3)
+        Unit vectors in the instrument's frame.
+
+    References
+    ----------
+    Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, Eq. (2).
+    """
+    sine = np.sin(opening_angle)
+    return np.stack(np.broadcast_arrays(-np.cos(opening_angle), np.cos(phase) * sine, np.sin(phase) * sine), axis=-1)
+
+
+def load_scan(
+    name: str | Path,
+    *,
+    opening_angle_deg: float | None = None,
+    focus_distance: float | Sequence[float] | None = None,
+    tilt_deg: float | None = None,
+    yaw_deg: float | None = None,
+    probe: str | Probe | None = None,
+) -> Scan:
+    """Load a scan by its name in ``models/scans`` or from a TOML file.
+
+    Parameters
+    ----------
+    name : str or Path
+        Name of a preset, or path of a ``.toml`` file.
+    opening_angle_deg : float, optional
+        Another half-cone opening angle, degrees; for a rosette its largest one.
+    focus_distance : float or sequence of float, optional
+        Another focus distance, m; several for several measurement planes.
+    tilt_deg, yaw_deg : float, optional
+        Another mounting, degrees.
+    probe : str or Probe, optional
+        ``"point"`` for beams without a probe volume, or another probe; by default the file's own.
+
+    Returns
+    -------
+    scan : Scan
+        The scan. Beams of several planes are numbered plane by plane.
+
+    Raises
+    ------
+    InputError
+        If there is no such preset or file, the file is not valid, or an override does not apply to the scan's pattern.
+
+    Examples
+    --------
+    >>> load_scan("6-beam", opening_angle_deg=45.0).n_beam
+    6
+    >>> load_scan("spinnerlidar-probe").probe_length[0].round(2), load_scan("spinnerlidar-probe", probe="point").probe
+    (np.float64(1.72), PointProbe())
+    """
+    path = find_model(name, "scans")
+    table = _read_table(path)
+    overrides: dict[str, dict[str, Any]] = {
+        "beams": {"opening_angle_deg": opening_angle_deg, "focus_distance": _as_list(focus_distance)},
+        "mounting": {"tilt_deg": tilt_deg, "yaw_deg": yaw_deg},
+    }
+    table = _merge(table, {part: {k: v for k, v in new.items() if v is not None} for part, new in overrides.items()})
+    if opening_angle_deg is not None and table.get("beams", {}).get("pattern") == "list":
+        raise InputError(
+            f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not "
+            "apply: write a TOML file with the beams that you want."
+        )
+    scan = _build(path.stem, _validate(table, path))
+    return scan if probe is None else replace(scan, probe=_checked_probe(probe))
+
+
+def _checked_probe(probe: str | Probe) -> Probe:
+    if isinstance(probe, Probe):
+        return probe
+    if probe != "point":
+        raise InputError(
+            f"Invalid probe {probe!r}: it must be 'point', or a probe with its lengths, as make_probe returns it."
+        )
+    return make_probe(probe)
+
+
+def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
+    if value is None:
+        return None
+    return [float(item) for item in np.atleast_1d(np.asarray(value, dtype=np.float64))]
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"File {str(path)!r} is not valid TOML: {error}.") from error
+    if "base" not in table:
+        return table
+    base_path = path.parent / f"{table['base']}.toml"
+    base = _read_table(base_path if base_path.is_file() else find_model(str(table["base"]), "scans"))
+    return _merge(base, {key: value for key, value in table.items() if key != "base"})
+
+
+def _merge(base: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in new.items():
+        merged[key] = (
+            _merge(merged[key], value) if isinstance(value, dict) and isinstance(merged.get(key), dict) else value
+        )
+    return merged
+
+
+_TAGS = ("cone", "rosette", "list", "point", "continuous-wave", "pulsed")  # pydantic names the kind of table, too
+
+
+def _validate(table: dict[str, Any], path: Path) -> _ScanFile:
+    try:
+        return _ScanFile.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
+        rule = {
+            "extra_forbidden": "unknown key; remove it or correct its spelling",
+            "missing": "required key is missing",
+        }.get(first["type"], first["msg"][0].lower() + first["msg"][1:])
+        given = "" if first["type"] == "missing" else f" = {first['input']!r}"
+        raise InputError(f"Invalid scan file {str(path)!r}: {place}{given}: {rule}.") from error
+
+
+def _build(name: str, spec: _ScanFile) -> Scan:
+    directions = spec.beams.directions()
+    distances, own_times = _distances(name, spec.beams), _own_values(name, spec.beams, "time")
+    n_beam, n_plane = len(directions), len(distances)
+    if n_beam == 0:
+        raise InputError(f"Scan {name!r} has no beam: beams.count is 0 and beams.centre is false.")
+    step = spec.timing.scan_duration / n_beam
+    times = step * np.arange(n_beam) if own_times is None else own_times
+    if spec.timing.planes == "sequential":  # a plane is scanned before the next one is focused
+        duration = spec.timing.scan_duration * n_plane
+        all_times = np.concatenate([times + plane * spec.timing.scan_duration for plane in range(n_plane)])
+    else:
+        duration = spec.timing.scan_duration
+        all_times = np.tile(times, n_plane)
+    if isinstance(spec.beams, _ListedBeams) and n_plane == 1:
+        numbers = np.array([beam.id for beam in spec.beams.beam])
+    else:
+        numbers = np.arange(n_beam * n_plane)
+    return Scan(
+        name=name,
+        beam_direction=np.tile(directions, (n_plane, 1)),
+        focus_distance=np.concatenate([np.broadcast_to(plane, n_beam) for plane in distances]),
+        beam_time=all_times,
+        scan_duration=duration,
+        beam=numbers,
+        tilt=float(np.deg2rad(spec.mounting.tilt_deg)),
+        yaw=float(np.deg2rad(spec.mounting.yaw_deg)),
+        title=spec.title,
+        source=spec.source,
+        file_format=spec.file.model_dump(exclude_none=True),
+        probe=make_probe(**spec.probe.model_dump()),
+    )
+
+
+def _distances(name: str, beams: _ConeBeams | _RosetteBeams | _ListedBeams) -> list[FloatArray]:
+    """Return the focus distance of each plane, one for all of its beams or one each."""
+    own, common = _own_values(name, beams, "focus_distance"), beams.focus_distance
+    if own is not None and common is not None:
+        raise InputError(
+            f"Scan {name!r} gives focus_distance both for all beams and for each of them: give one of the two."
+        )
+    if own is not None:
+        return [own]
+    if common is None:
+        raise InputError(
+            f"Scan {name!r} has no focus_distance: give beams.focus_distance, or one in each of beams.beam."
+        )
+    return [np.asarray(distance) for distance in common]
+
+
+def _own_values(
+    name: str, beams: _ConeBeams | _RosetteBeams | _ListedBeams, key: Literal["focus_distance", "time"]
+) -> FloatArray | None:
+    """Return what each beam of a list gives for itself; None if none does."""
+    if not isinstance(beams, _ListedBeams):
+        return None
+    values = [getattr(beam, key) for beam in beams.beam]
+    given = [value is not None for value in values]
+    if not any(given):
+        return None
+    if not all(given):
+        raise InputError(
+            f"Beam {beams.beam[given.index(False)].id} of scan {name!r} has no {key}, and others have: "
+            "give it to all of them or to none."
+        )
+    return np.array(values, dtype=np.float64)
+
+
+def _upward_direction(opening_angle: FloatArray, phase: FloatArray) -> FloatArray:
+    sine = np.sin(opening_angle)
+    return np.stack([np.cos(phase) * sine, np.sin(phase) * sine, np.cos(opening_angle)], axis=-1)

@@ -1,0 +1,412 @@
+"""The main job for a long campaign: many records in, a folder of tables out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+
+from bayes_rs._version import __version__
+from bayes_rs.campaigns.campaign import (
+    Campaign,
+    CampaignPlan,
+    check_job_options,
+    check_versions,
+    fit_campaign,
+    number_versions,
+    part_files,
+    plan_campaign,
+    run_campaign,
+)
+from bayes_rs.campaigns.digest import digest
+from bayes_rs.campaigns.record_store import store_records
+from bayes_rs.campaigns.workers import connect
+from bayes_rs.geometry.forward import sight
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.jobs.fit_job import FAILURES, describe, noise_of_job, versions
+from bayes_rs.noise.reading import load_noise
+from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_run
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.priors.registry import make_prior
+from bayes_rs.records.report import describe_report
+from bayes_rs.results.fitting import fit_options
+from bayes_rs.results.result import flag_words
+
+MOST_FULL = 2000
+"""Records up to which a NetCDF file of the whole result is offered: about 0.1 MB each."""
+MOST_CSV = 20_000
+"""Records up to which the summary is written as CSV, too."""
+_LISTED = 20
+"""Failures that are listed one by one."""
+
+
+@dataclass(frozen=True)
+class LongOutcome:
+    """What came of a long fit.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Where the tables are, and the counts.
+    n_record, n_fitted : int
+        Records that went in, and those that have a posterior.
+    failures : list of str
+        One line for each record that was not fitted or whose chain fell short; of many, the first and their number.
+    words : list of str
+        What the scan sees, which prior it was, and what the data said beyond the prior.
+    bad_files : dict of str to str
+        Files that could not be used, with the reasons.
+    """
+
+    campaign: Campaign
+    n_record: int
+    n_fitted: int
+    failures: list[str]
+    words: list[str]
+    bad_files: dict[str, str] = field(default_factory=dict)
+
+
+def run_long_fit(
+    records: xr.Dataset,
+    scan: Scan,
+    output: str | Path,
+    *,
+    noise_file: str | Path | None = None,
+    turbulence: str = "fu-2022",
+    noise_method: str = "theory",
+    prior: str = "weak",
+    target: str = "record",
+    sampler: str = "auto",
+    likelihood: str = "log-normal",
+    nuisances: Nuisances | None = None,
+    target_ess: int = 1000,
+    instrument_noise: float | str = 0.0,
+    prob: float = 0.9,
+    derived: Sequence[str] = (),
+    draws: str = "none",
+    workers: int = 1,
+    scheduler: str | None = None,
+    seed: int = 1,
+    resume: bool = False,
+    overwrite: bool = False,
+    say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
+    source_files: Sequence[str] = (),
+) -> LongOutcome:
+    """Fit any number of records and write the folder of results.
+
+    Parameters
+    ----------
+    records, scan, noise_file, turbulence, noise_method, say, source_files
+        As for `run_fit`.
+    output : str or Path
+        Folder to make, with the Parquet datasets of `fit_campaign`, ``records.nc``, ``run.json`` and, up to 20 000
+        records, ``summary.csv``.
+    prior, target, sampler, likelihood, nuisances, target_ess, instrument_noise, prob, derived, draws, workers
+        As for `fit_campaign`.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers do the work instead.
+    seed : int
+        Seed of the fit.
+    resume, overwrite : bool
+        Go on with an interrupted run, or replace the folder of an earlier one.
+
+    Returns
+    -------
+    outcome : LongOutcome
+        Counts and failures.
+
+    Raises
+    ------
+    InputError
+        If the folder may not be written, or input does not belong together.
+    WorkerError
+        If worker processes die again and again.
+    """
+    clock = [time.perf_counter()]
+    noise = noise_of_job(
+        records,
+        scan,
+        noise_file=noise_file,
+        turbulence=turbulence,
+        method=noise_method,
+        sonic=target == "sonic",
+        nuisances=nuisances,
+        say=say,
+    )
+    clock.append(time.perf_counter())
+    with connect(scheduler) as client:
+        campaign = fit_campaign(
+            records,
+            scan,
+            output,
+            noise=noise,
+            seed=seed,
+            prior=prior,
+            target=target,
+            sampler=sampler,
+            likelihood=likelihood,
+            nuisances=nuisances,
+            target_ess=target_ess,
+            instrument_noise=instrument_noise,
+            prob=prob,
+            derived=derived,
+            draws=draws,
+            workers=workers,
+            client=client,
+            resume=resume,
+            overwrite=overwrite,
+        )
+    clock.append(time.perf_counter())
+    seconds = _seconds(("noise", "sampling"), clock)
+    return _finish(
+        campaign, records, scan, prior, say, source_files=list(source_files), workers=workers, seconds=seconds
+    )
+
+
+def run_folder_fit(
+    files: str | Path | Sequence[str | Path],
+    scan: Scan,
+    output: str | Path,
+    *,
+    reading: Mapping[str, Any] | None = None,
+    recording: Mapping[str, Any] | None = None,
+    chunk_rows: int | None = None,
+    lateness: float | None = None,
+    noise_file: str | Path | None = None,
+    turbulence: str = "fu-2022",
+    noise_method: str = "theory",
+    prior: str = "weak",
+    target: str = "record",
+    sampler: str = "auto",
+    likelihood: str = "log-normal",
+    nuisances: Nuisances | None = None,
+    target_ess: int = 1000,
+    instrument_noise: float | str = 0.0,
+    prob: float = 0.9,
+    derived: Sequence[str] = (),
+    draws: str = "none",
+    workers: int = 1,
+    scheduler: str | None = None,
+    seed: int = 1,
+    resume: bool = False,
+    overwrite: bool = False,
+    say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
+    show_progress: bool | None = None,
+) -> LongOutcome:
+    """Fit all records of a folder of radial velocities, of a year, say, with memory that does not grow with its files.
+
+    Parameters
+    ----------
+    files : str, Path or sequence of them
+        Files, folders and patterns, as for `stream_radial_velocity`.
+    scan : Scan
+        The scan they were measured with.
+    output : str or Path
+        Folder to make, as for `run_long_fit`; its folder ``records`` keeps what was made of the files.
+    reading : dict, optional
+        Options of `stream_radial_velocity`.
+    recording : dict, optional
+        Options of `make_records`.
+    chunk_rows : int, optional
+        Rows that are read at a time; memory, not the result, depends on it.
+    lateness : float, optional
+        As for `stream_records`, s.
+    noise_file, turbulence, noise_method
+        As for `run_fit`.
+    prior, target, sampler, likelihood, nuisances, target_ess, instrument_noise, prob, derived, draws, workers
+        As for `fit_campaign`.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers do the work instead.
+    seed : int
+        Seed of the fit.
+    resume, overwrite : bool
+        Go on with an interrupted run of the same options, or replace the folder of an earlier one. Files that were
+        read are not read again; of files that came since, later ones are added, and all records are fitted again.
+    say : callable
+        Takes lines that tell what is being done.
+    show_progress : bool, optional
+        Progress bars with the time left on stderr; by default only on a terminal.
+
+    Returns
+    -------
+    outcome : LongOutcome
+        Counts and failures: files and records.
+
+    Raises
+    ------
+    InputError
+        If the folder may not be written, input does not belong together, no file can be used, or one that was read
+        before was changed.
+    WorkerError
+        If worker processes die again and again.
+
+    Notes
+    -----
+    First the records of all files are made, then the noise for their wind speeds and directions, then they are fitted.
+    A file that cannot be read, or that holds anything that cannot be used, counts for nothing; it is named at the end.
+    All results are the same however often the run was interrupted, and whatever ``chunk_rows`` and ``workers``.
+
+    Examples
+    --------
+    >>> import tempfile, bayes_rs as brs
+    >>> scan, flow = brs.load_scan("2-beam"), brs.load_turbulence("fu-2022")
+    >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for hour in range(2):
+    ...         some = series.isel(sample=slice(1200 * hour, 1200 * (hour + 1))).to_dataframe().reset_index()
+    ...         some[["time", "beam", "radial_velocity"]].to_csv(f"{folder}/{hour}.csv", index=False)
+    ...     brs.calibrate(scan, flow, wind_speed=10.0, cache=False).save(f"{folder}/noise.nc")
+    ...     outcome = run_folder_fit(f"{folder}/*.csv", scan, f"{folder}/year", noise_file=f"{folder}/noise.nc")
+    ...     outcome.n_fitted, len(outcome.campaign.summary())
+    (2, 12)
+    """
+    clock = [time.perf_counter()]
+    fitting: dict[str, Any] = {
+        "prior": prior,
+        "target": target,
+        "sampler": sampler,
+        "likelihood": likelihood,
+        "nuisances": nuisances,
+        "target_ess": target_ess,
+        "instrument_noise": instrument_noise,
+        "seed": seed,
+    }
+    check_job_options(prob=prob, derived=derived, draws=draws, workers=workers)
+    options = fit_options(**fitting, max_extension=5)
+    known = load_noise(noise_file) if noise_file is not None else None
+    read, made = dict(reading or {}), dict(recording or {})
+    of_noise = [turbulence, noise_method, known]
+    key = digest(
+        __version__, number_versions(), scan.key, read, made, lateness, options, of_noise, prob, derived, draws
+    )
+    if resume and not overwrite:
+        check_versions(output)
+    folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
+    write_run(folder, {"key": key, "finished": False, "packages": number_versions()})
+    stored = store_records(
+        files,
+        scan,
+        folder / "records",
+        reading=read,
+        chunk_rows=chunk_rows,
+        lateness=lateness,
+        show_progress=show_progress,
+        **made,
+    )
+    records = stored.records
+    if stored.n_resumed:
+        say(f"{stored.n_resumed} of {stored.n_file} files were read by an earlier run")
+    for line in describe_report(records):
+        say(line)
+    clock.append(time.perf_counter())
+    noise = (
+        noise_of_job(
+            records,
+            scan,
+            noise_file=None,
+            turbulence=turbulence,
+            method=noise_method,
+            sonic=target == "sonic",
+            nuisances=nuisances,
+            say=say,
+        )
+        if known is None
+        else known
+    )
+    clock.append(time.perf_counter())
+    with connect(scheduler) as client:
+        more = {"prob": prob, "derived": derived, "draws": draws, "workers": workers, "client": client}
+        plan = plan_campaign(records, scan, noise=noise, **fitting, **more)
+        _only_of(plan, folder)
+        plan = replace(plan, run={**plan.run, "key": key})
+        campaign = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+    clock.append(time.perf_counter())
+    return _finish(
+        campaign,
+        records,
+        scan,
+        prior,
+        say,
+        workers=workers,
+        seconds=_seconds(("records", "noise", "sampling"), clock),
+        n_file=stored.n_file,
+        bad_files=stored.bad_files,
+        read_counts=stored.counts,
+    )
+
+
+def _only_of(plan: CampaignPlan, folder: Path) -> None:
+    """Remove the parts of another fit, of fewer files, and say whose parts come now."""
+    mark = folder / "records" / "fit-key"
+    if not mark.is_file() or mark.read_text(encoding="utf-8") != plan.key:
+        for name in ("summary", "posterior", "draws", "draws.zarr"):
+            if (folder / name).exists():
+                shutil.rmtree(folder / name)
+        with output_file(mark, overwrite=True) as file:
+            file.write_text(plan.key, encoding="utf-8")
+
+
+def _finish(
+    campaign: Campaign,
+    records: xr.Dataset,
+    scan: Scan,
+    prior: str,
+    say: Callable[[str], None],
+    *,
+    bad_files: Mapping[str, str] | None = None,
+    **more: Any,
+) -> LongOutcome:
+    """Write what belongs to the tables, and say how it went."""
+    if campaign.n_resumed:
+        say(f"{campaign.n_resumed} of {campaign.n_record} records were finished by an earlier run")
+    table = campaign.summary()
+    with output_file(campaign.folder / "records.nc", overwrite=True) as file:
+        records.to_netcdf(file, engine="h5netcdf")
+    if campaign.n_record <= MOST_CSV:
+        with output_file(campaign.folder / "summary.csv", overwrite=True) as file:
+            table.to_csv(file, index=False, date_format="%Y-%m-%dT%H:%M:%S")
+    bad = dict(bad_files or {})
+    report = json.loads(records.attrs.get("records_report", "{}"))
+    late = {name: report[name] for name in ("samples_late", "first_late") if name in report}
+    run = json.loads((campaign.folder / RUN_FILE).read_text(encoding="utf-8"))
+    counts = {"n_resumed": campaign.n_resumed, "bad_files": bad, **late}
+    write_run(campaign.folder, {**run, **versions(), **counts, **more})
+    used = scan.select(records["beam"].values)
+    lines = [f"file {name}: {reason}" for name, reason in bad.items()]
+    if late:
+        lines.append(
+            f"{late['samples_late']} samples came after their record was closed and are not in it, the first of "
+            f"{late['first_late']}: sort the files by time, or give a longer lateness"
+        )
+    return LongOutcome(
+        campaign,
+        campaign.n_record,
+        campaign.n_fitted,
+        lines + _failures(campaign.folder),
+        describe(scan.name, sight(used).in_words(), make_prior(prior), table),
+        bad,
+    )
+
+
+def _seconds(names: Sequence[str], clock: Sequence[float]) -> dict[str, float]:
+    return {name: round(end - start, 3) for name, start, end in zip(names, clock, clock[1:], strict=False)}
+
+
+def _failures(folder: Path) -> list[str]:
+    columns = ["record", "time", "flag_bits"]
+    rows = pd.concat([pd.read_parquet(file, columns=columns) for file in part_files(folder, "posterior")])
+    failed = rows[(rows["flag_bits"].to_numpy() & FAILURES) != 0]
+    lines = []
+    for row in failed[:_LISTED].itertuples():
+        start = "" if pd.isna(row.time) else f" ({row.time:%Y-%m-%dT%H:%M})"
+        lines.append(f"record {row.record}{start}: {flag_words(row.flag_bits)}")
+    if len(failed) > _LISTED:
+        lines.append(f"and {len(failed) - _LISTED} more records: see the column flag of the summary")
+    return lines

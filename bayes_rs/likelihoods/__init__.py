@@ -1,0 +1,1 @@
+"""Densities of the beams' variances, given R."""

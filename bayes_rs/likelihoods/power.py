@@ -1,0 +1,267 @@
+"""Likelihoods of powers of the variances: Gaussian (power 1) and gamma (cube root), whose noise grows with R."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.likelihoods.base import (
+    REFERENCE_STRESS,
+    Likelihood,
+    beam_data,
+    check_tails,
+    expected_signal,
+    factor_reduced,
+    half_square,
+    log_normalizer,
+    unit_pivots,
+    with_tails,
+)
+
+_CUBE_ROOT = 1.0 / 3.0
+_DROPPED = 1e-9
+"""Share of the smallest reduced eigenvalue that the dropped eigenvalues of the noise may have together."""
+_NUMBERS = 2_000_000
+"""Numbers that are held at once for the covariances of the draws: 16 MB. Memory, not the result, depends on it."""
+
+
+@dataclass(frozen=True)
+class PowerLikelihood(Likelihood):
+    """y^p is normal, with mean μ m^p and covariance diag(m^p) C diag(m^p), after reduction; m = E[y] depends on R.
+
+    Parameters
+    ----------
+    gain, offset, n_datum, dof, place
+        As in `Likelihood`.
+    power : float
+        p, 1 or 1/3.
+    reference : ndarray, shape (n_record, n_beam)
+        Expected variances m₀ of the reference shape.
+    datum : ndarray, shape (n_record, n_seen)
+        Reduced data z = Uᵀ (y/m₀)^p.
+    left : ndarray, shape (n_record, n_beam, n_seen)
+        U: orthonormal, zero for beams and directions that a record does not have.
+    centre : ndarray, shape (n_record, n_beam)
+        μ.
+    root, sign : ndarray, shapes (n_record, n_beam, n_root) and (n_record, n_root)
+        C = root · diag(sign) · rootᵀ.
+    seen : ndarray of bool, shape (n_record, n_seen)
+        Which directions a record has.
+
+    Notes
+    -----
+    The statistic z is a fixed function of the data, so that its density at different R may be compared: it is normal
+    with mean Uᵀ q μ and covariance Uᵀ diag(q) C diag(q) U, q = (m/m₀)^p, and the determinant of that covariance counts.
+
+    p = 1: μ = 1 and C = K, the moments of the noise model as they are; y itself is Gaussian.
+
+    p = 1/3: a gamma variable of mean m and relative variance K has a nearly normal cube root about m^(1/3) (1 − K/9)
+    of variance m^(2/3) K/9 (Wilson and Hilferty 1931). The entries of C are such that the cubes of the normal numbers
+    have the relative covariance K: with v = K_bb/9, μ = 1 − v, s = μ² + v,
+    9 s_a s_b C_ab + 18 μ_a μ_b C_ab² + 6 C_ab³ = K_ab.
+
+    References
+    ----------
+    Wilson and Hilferty (1931), Proc. Natl. Acad. Sci. 17, 684–688, doi:10.1073/pnas.17.12.684.
+    """
+
+    gain: FloatArray
+    offset: FloatArray
+    power: float
+    reference: FloatArray
+    datum: FloatArray
+    left: FloatArray
+    centre: FloatArray
+    root: FloatArray
+    sign: FloatArray
+    seen: NDArray[np.bool_]
+    n_datum: NDArray[np.int64]
+    dof: float = np.inf
+    place: FloatArray | None = None
+
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
+        residual, log_determinant = self._whiten(stress, offset, gradient)
+        with np.errstate(invalid="ignore"):
+            square = np.einsum("rds,rds->rd", residual, residual)
+            density = log_normalizer(self.n_datum[:, None], log_determinant, self.dof)
+            density = density - half_square(square, self.n_datum, self.dof)
+        return np.where(np.isfinite(density), density, -np.inf)
+
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6).
+
+        The determinant has no part in them: its logarithm is nearly linear in ln R, and adds no curvature.
+        """
+        return with_tails(self._whiten(stress, offset, gradient)[0], self.n_datum, self.dof)
+
+    def _whiten(
+        self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals (n_record, n_draw, n_seen) and log-determinants; NaN where m is not positive."""
+        n_draw, n_root, n_seen = stress.shape[1], self.root.shape[2], self.left.shape[2]
+        residual, log_determinant = np.empty((*stress.shape[:2], n_seen)), np.empty(stress.shape[:2])
+        step = max(1, _NUMBERS // max(1, n_draw * n_root * n_seen))
+        for start in range(0, self.n_record, step):
+            part = slice(start, start + step)
+            place = None if self.place is None else self.place[part]
+            mean = expected_signal(stress[part], self.gain[part], place, None if gradient is None else gradient[part])
+            mean = mean + self.offset[part, None, :]
+            if offset is not None:
+                mean = mean + offset[part, :, None]
+            scale = np.where(mean > 0.0, mean / self.reference[part, None, :], np.nan) ** self.power
+            left = self.left[part]
+            difference = self.datum[part, None, :] - (scale * self.centre[part, None, :]) @ left
+            spread = (left[:, :, :, None] * self.root[part, :, None, :]).reshape(len(left), left.shape[1], -1)
+            spread = (scale @ spread).reshape(*scale.shape[:2], n_seen, n_root)
+            covariance = (spread * self.sign[part, None, None, :]) @ spread.swapaxes(-1, -2)
+            covariance += unit_pivots(self.seen[part])[:, None]
+            residual[part], log_determinant[part] = _whitened(covariance, difference)
+        return residual, log_determinant
+
+
+def power_likelihood(
+    variance: FloatArray,
+    used: NDArray[np.bool_],
+    gain: FloatArray,
+    covariance: FloatArray,
+    offset: FloatArray | float = 0.0,
+    *,
+    power: float,
+    inflation: float = 1.0,
+    dof: float = np.inf,
+    reference: FloatArray | None = None,
+    place: FloatArray | None = None,
+) -> PowerLikelihood:
+    """Prepare the likelihood of powers of the variances of many records.
+
+    Parameters
+    ----------
+    variance, used, gain, covariance, offset
+        As in `log_normal_likelihood`.
+    power : float
+        1 or 1/3.
+    inflation, dof, reference, place
+        As in `log_normal_likelihood`; `inflation` multiplies K.
+
+    Returns
+    -------
+    likelihood : PowerLikelihood
+        The likelihood.
+
+    Raises
+    ------
+    InputError
+        If a record uses no beam, a used variance is not positive, or an option is invalid.
+    NotPositiveDefiniteError
+        If the noise of the reduced data is singular at the reference shape.
+    """
+    check_tails(inflation, dof)
+    data = beam_data(variance, used, gain, offset, place)
+    centre, of_power = power_moments(inflation * data.relative_covariance(covariance), power)
+    level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
+    scale = np.where(used, level, 1.0)
+    left, seen = data.seen_directions(scale)
+    reduced = left.swapaxes(-1, -2) @ of_power @ left
+    factor_reduced(reduced, seen, variance.shape[1], what="covariance")
+    root, sign = _signed_root(of_power, np.linalg.eigvalsh(reduced + unit_pivots(seen)).min(axis=1))
+    return PowerLikelihood(
+        gain=data.gain,
+        offset=data.offset,
+        power=power,
+        reference=scale,
+        datum=np.einsum("rbs,rb->rs", left, (data.variance / scale) ** power),
+        left=left,
+        centre=centre,
+        root=root,
+        sign=sign,
+        seen=seen,
+        n_datum=seen.sum(axis=1).astype(np.int64),
+        dof=float(dof),
+        place=data.place,
+    )
+
+
+def power_moments(covariance: FloatArray, power: float) -> tuple[FloatArray, FloatArray]:
+    """Return mean μ and covariance C of (y/m)^p that give y/m the mean 1 and the covariance K (see `PowerLikelihood`).
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., n_beam, n_beam)
+        K.
+    power : float
+        1 or 1/3. For 1/3 the moments of y/m are right to a few (K_bb/9)⁴.
+
+    Returns
+    -------
+    centre : ndarray, shape (..., n_beam)
+        μ.
+    of_power : ndarray, shape (..., n_beam, n_beam)
+        C.
+
+    Raises
+    ------
+    InputError
+        If the power is neither 1 nor 1/3.
+    """
+    ninth = np.diagonal(covariance, axis1=-2, axis2=-1) / 9.0
+    if power == 1.0:
+        return np.ones_like(ninth), covariance
+    if power != _CUBE_ROOT:
+        raise InputError(f"Invalid power {power!r}: it must be 1 or 1/3.")
+    centre = 1.0 - ninth
+    linear = centre**2 + ninth
+    first = 9.0 * linear[..., :, None] * linear[..., None, :]
+    second = 18.0 * centre[..., :, None] * centre[..., None, :]
+    of_power = covariance / 9.0
+    for _ in range(6):  # Newton: the error is squared each time, from K² at first
+        value = (first + (second + 6.0 * of_power) * of_power) * of_power
+        slope = first + (2.0 * second + 18.0 * of_power) * of_power
+        of_power = of_power - (value - covariance) / slope
+    return centre, of_power
+
+
+def _signed_root(matrices: FloatArray, smallest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return F and signs s with F diag(s) Fᵀ = C, without eigenvalues that are nothing beside `smallest`."""
+    values, vectors = np.linalg.eigh(matrices)
+    order = np.argsort(-np.abs(values), axis=1)
+    values = np.take_along_axis(values, order, axis=1)
+    tail = np.cumsum(np.abs(values)[:, ::-1], axis=1)[:, ::-1]
+    n_root = max(1, int(np.max(np.count_nonzero(tail > _DROPPED * smallest[:, None], axis=1))))
+    values = values[:, :n_root]
+    vectors = np.take_along_axis(vectors, order[:, None, :n_root], axis=2)
+    return np.asarray(vectors * np.sqrt(np.abs(values))[:, None, :]), np.sign(values)
+
+
+def _whitened(covariance: FloatArray, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return L⁻¹d and ln det(LLᵀ) by Cholesky factors L of all matrices at once; NaN where there is none."""
+    n = difference.shape[-1]
+    factor: list[list[FloatArray]] = [[] for _ in range(n)]  # factor[i][k] for k ≤ i
+    whitened = np.empty_like(difference)
+    log_determinant = np.zeros(difference.shape[:-1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for j in range(n):
+            below = [covariance[..., i, j] - _dot(factor[i], factor[j]) for i in range(j, n)]
+            pivot = np.sqrt(np.where(below[0] > 0.0, below[0], np.nan))
+            log_determinant += 2.0 * np.log(pivot)
+            rest = difference[..., j] - _dot(factor[j], [whitened[..., k] for k in range(j)])
+            whitened[..., j] = rest / pivot
+            for i in range(j, n):
+                factor[i].append(below[i - j] / pivot)
+    return whitened, log_determinant
+
+
+def _dot(first: list[FloatArray], second: list[FloatArray]) -> FloatArray | float:
+    """Return Σ_k a_k b_k over the entries that both lists have."""
+    total: FloatArray | float = 0.0
+    for a, b in zip(first, second, strict=False):
+        total = total + a * b
+    return total

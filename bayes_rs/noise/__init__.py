@@ -1,0 +1,1 @@
+"""The noise of a record's beam variances, by theory."""

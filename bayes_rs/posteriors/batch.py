@@ -1,0 +1,402 @@
+"""One batch of records, from variances and noise to draws of their posteriors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
+from bayes_rs.likelihoods.mixture import MixtureLikelihood
+from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
+from bayes_rs.noise.model import NoiseBank, NoiseModel, RecordNoise, SonicNoise
+from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.sampling import sample
+from bayes_rs.posteriors.sampling.chains import BLOCK, Chains
+from bayes_rs.posteriors.sampling.streams import RecordStreams
+from bayes_rs.posteriors.sonic import ESS_MARGIN, draw_sonic
+from bayes_rs.priors.registry import Prior
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """What is the same for all records of a fit.
+
+    Parameters
+    ----------
+    prior : Prior
+        The prior of R.
+    target : str
+        Which R.
+    sampler, likelihood : str
+        Their names.
+    nuisances : Nuisances
+        What is uncertain beside R.
+    instrument_noise : float
+        Variance that the instrument adds to each radial variance, m² s⁻²; see `Batch` for that of the records.
+    target_ess, max_extension : int
+        Effective sample size to reach, and how often a chain may be doubled for it.
+    seed : int
+        Seed of the fit.
+    """
+
+    prior: Prior
+    target: str
+    sampler: str
+    likelihood: str
+    nuisances: Nuisances
+    instrument_noise: float
+    target_ess: int
+    max_extension: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The data of some records.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (n_record, n_beam)
+        Radial variances, m² s⁻².
+    used : ndarray of bool, shape (n_record, n_beam)
+        Which of them count.
+    wind_speed : ndarray, shape (n_record,)
+        Mean wind speed, m/s.
+    yaw : ndarray, shape (n_record,)
+        Wind direction relative to the lidar axis, rad.
+    key : ndarray of int, shape (n_record,)
+        What makes each record's random stream its own.
+    flow : dict of str to ndarray, shape (n_record,)
+        The records' own ``length_scale`` (m) and ``gamma``, where they have them.
+    turn : ndarray, shape (n_record, 6, 6), optional
+        What takes the gains to the records' own tilt and roll (`gain_turn`), where those were measured.
+    instrument_noise : ndarray, shape (n_record, n_beam), optional
+        Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
+    """
+
+    variance: FloatArray
+    used: NDArray[np.bool_]
+    wind_speed: FloatArray
+    yaw: FloatArray
+    key: NDArray[np.int64]
+    flow: dict[str, FloatArray] = field(default_factory=dict)
+    turn: FloatArray | None = None
+    instrument_noise: FloatArray | None = None
+
+    def __len__(self) -> int:
+        """Return the number of records."""
+        return len(self.variance)
+
+    def take(self, records: NDArray[np.int64] | slice) -> Batch:
+        """Return some of the records."""
+        return Batch(
+            self.variance[records],
+            self.used[records],
+            self.wind_speed[records],
+            self.yaw[records],
+            self.key[records],
+            {name: values[records] for name, values in self.flow.items()},
+            None if self.turn is None else self.turn[records],
+            None if self.instrument_noise is None else self.instrument_noise[records],
+        )
+
+    def turned(self, gain: FloatArray) -> FloatArray:
+        """Return gains (n_record, n_beam, 6) at the records' own tilt and roll; the noise stays that of the scan's."""
+        return gain if self.turn is None else gain @ self.turn
+
+    def known_noise(self, options: FitOptions) -> FloatArray | float:
+        """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""
+        if options.nuisances.instrument_noise_log_sd > 0.0:
+            return 0.0
+        return options.instrument_noise if self.instrument_noise is None else self.instrument_noise
+
+    def median_noise(self, options: FitOptions) -> FloatArray | float:
+        """Return the median of uncertain noise: that of the options, or (n_record, 1) the mean of the used beams."""
+        if self.instrument_noise is None:
+            return options.instrument_noise
+        count = np.maximum(np.count_nonzero(self.used, axis=1, keepdims=True), 1)
+        return np.asarray(np.sum(np.where(self.used, self.instrument_noise, 0.0), axis=1, keepdims=True) / count)
+
+
+@dataclass(frozen=True)
+class RecordDraws:
+    """Draws and diagnostics of some records.
+
+    Parameters
+    ----------
+    chains : Chains
+        The draws.
+    nuisances : dict of str to ndarray, shape (n_record, n_chain, n_draw)
+        Draws of the sampled nuisances, in the units of `bayes_rs.posteriors.nuisance.UNITS`.
+    predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
+        Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
+    misfit : ndarray, shape (n_record,)
+        Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
+    outside : ndarray of bool, shape (n_record,)
+        Whether the noise bank does not reach to the record.
+    clipped : ndarray, shape (n_record,)
+        What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
+    """
+
+    chains: Chains
+    nuisances: dict[str, FloatArray]
+    predicted: FloatArray
+    misfit: FloatArray
+    outside: NDArray[np.bool_]
+    clipped: FloatArray
+
+
+def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, *, predict: bool = True) -> RecordDraws:
+    """Sample the posteriors of a batch of records.
+
+    Parameters
+    ----------
+    batch : Batch
+        Records with at least one usable beam, a wind speed and a direction.
+    noise : NoiseModel or NoiseBank
+        Noise of the beams of the batch.
+    options : FitOptions
+        What is the same for all.
+    predict : bool
+        Draw from the posterior predictive distribution, too.
+
+    Returns
+    -------
+    draws : RecordDraws
+        Bit by bit the same whatever other records are in the batch.
+    """
+    if options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise):
+        # each record by itself decides which way it goes, so that it is the same in any company
+        whole = batch.used.all(axis=1)
+        ways = [(np.flatnonzero(whole), _fit_reduced), (np.flatnonzero(~whole), _fit_whole)]
+        parts = [(rows, way(batch.take(rows), noise, options, predict)) for rows, way in ways if len(rows)]
+        back = np.argsort(np.concatenate([rows for rows, _ in parts]))
+        return join_draws([draws for _, draws in parts], back)
+    return _fit_whole(batch, noise, options, predict)
+
+
+def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = slice(None)) -> RecordDraws:
+    """Put the draws of several batches together, in the order that is given."""
+    chains = Chains(
+        **{
+            name: np.concatenate([getattr(part.chains, name) for part in parts])[order]
+            for name in Chains.__dataclass_fields__
+        }
+    )
+    names = ("predicted", "misfit", "outside", "clipped")
+    return RecordDraws(
+        chains=chains,
+        nuisances={
+            name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances
+        },
+        **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names},
+    )
+
+
+def _fit_whole(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+    """Sample records with the covariances of all their beams."""
+    posterior, at_record = make_posterior(batch, noise, options)
+    sonic = _sonic_noise(batch, noise, options) if options.target == "sonic" else []
+    chains, streams = sample(
+        options.sampler,
+        posterior,
+        seed=options.seed,
+        keys=batch.key,
+        target_ess=int(np.ceil(ESS_MARGIN * options.target_ess)) if sonic else options.target_ess,
+        max_extension=options.max_extension,
+    )
+    clipped = np.zeros(len(batch))
+    if sonic:  # before anything else is drawn, so that it is the same with and without predictions
+        chains, clipped = draw_sonic(posterior, chains, sonic, streams, inflation=options.nuisances.inflation)
+    some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK]
+    flat = some.reshape(len(batch), -1, some.shape[-1])
+    expected = posterior.likelihood.expected(*posterior.seen(flat))
+    log_covariance = options.nuisances.inflation * np.log1p(at_record.covariance)
+    n_beam = batch.variance.shape[1]
+    predicted = np.full((*some.shape[:3], n_beam if predict else 0), np.nan)
+    if predict:
+        root = _symmetric_root(log_covariance, at_record.state)
+        predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
+    whole = chains.coordinate.reshape(len(batch), -1, some.shape[-1])
+    return RecordDraws(
+        chains,
+        {
+            name: values.reshape(chains.coordinate.shape[:3])
+            for name, values in posterior.nuisance_values(whole).items()
+        },
+        predicted,
+        _misfit(expected, np.einsum("rbb->rb", log_covariance), batch),
+        at_record.outside,
+        clipped,
+    )
+
+
+def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+    """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
+    noise = reduced(cast("NoiseBank", bank), options.nuisances.gradient_names)
+    factors, weights = options.nuisances.length_scale_nodes()
+    parts: list[Likelihood] = []
+    place = _place(batch, noise.bank, options.nuisances)
+    for factor in factors:
+        at_node = noise.for_records(
+            batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
+        )
+        gain = batch.turned(at_node.gain)
+        if options.target == "ensemble":
+            gain = gain * (1.0 + at_node.bias)[:, :, None]
+        parts.append(
+            reduced_log_normal_likelihood(
+                batch.variance,
+                gain,
+                noise.left,
+                at_node.covariance,
+                at_node.log_variance,
+                batch.known_noise(options),
+                inflation=options.nuisances.inflation,
+                dof=options.nuisances.inflation_dof,
+                place=place,
+            )
+        )
+        if factor == 1.0:
+            at_record = at_node
+    likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
+    posterior = Posterior(likelihood, options.prior, nuisances)
+    chains, streams = sample(
+        options.sampler,
+        posterior,
+        seed=options.seed,
+        keys=batch.key,
+        target_ess=options.target_ess,
+        max_extension=options.max_extension,
+    )
+    n_chain, n_draw, k = chains.coordinate.shape[1:]
+    some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
+    expected = likelihood.expected(*posterior.seen(some))
+    n_beam = batch.variance.shape[1]
+    predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
+    if predict:
+        full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
+        root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
+        predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
+    values = posterior.nuisance_values(chains.coordinate.reshape(len(batch), -1, k))
+    return RecordDraws(
+        chains,
+        {name: value.reshape(len(batch), n_chain, n_draw) for name, value in values.items()},
+        predicted,
+        _misfit(expected, options.nuisances.inflation * at_record.log_variance, batch),
+        at_record.outside,
+        np.zeros(len(batch)),
+    )
+
+
+def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> tuple[Posterior, RecordNoise]:
+    """Return the posterior of a batch, and the noise of its records (at the median length scale)."""
+    factors, weights = options.nuisances.length_scale_nodes()
+    # in the lidar's frame, so that the wind's direction does not weight the beams
+    reference = design_matrix(np.asarray(noise.scan_geometry["direction"], dtype=np.float64)) @ REFERENCE_STRESS
+    parts: list[Likelihood] = []
+    place = _place(batch, noise, options.nuisances)
+    for factor in factors:
+        at_node = _noise_of(noise, batch, options.nuisances, float(factor))
+        gain = batch.turned(at_node.gain)
+        if options.target == "ensemble":
+            gain = gain * (1.0 + at_node.bias)[:, :, None]
+        parts.append(
+            make_likelihood(
+                options.likelihood,
+                batch.variance,
+                batch.used,
+                gain,
+                at_node.covariance,
+                batch.known_noise(options),
+                inflation=options.nuisances.inflation,
+                dof=options.nuisances.inflation_dof,
+                reference=reference,
+                place=place,
+            )
+        )
+        if factor == 1.0:
+            at_record = at_node
+    likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
+    return Posterior(likelihood, options.prior, nuisances), at_record
+
+
+def _place(batch: Batch, noise: NoiseModel | NoiseBank, nuisances: Nuisances) -> FloatArray | None:
+    """Return where the beams of each record measure, for gradients of R; None if R is the same everywhere."""
+    place = nuisances.place(noise.scan_geometry)
+    return None if place is None else np.broadcast_to(place, (len(batch), *place.shape))
+
+
+def _sonic_noise(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> list[SonicNoise]:
+    """Return the moments of a sonic with the beams, for each length scale that the posterior is averaged over."""
+    factors, _ = options.nuisances.length_scale_nodes()
+    return [
+        noise.sonic_for_records(
+            batch.wind_speed, batch.yaw, **_own_flow(noise, batch, options.nuisances, float(factor))
+        )
+        for factor in factors
+    ]
+
+
+def _noise_of(noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
+    """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
+    return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+
+
+def _own_flow(
+    noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float
+) -> dict[str, FloatArray]:
+    """Return the length scale and Γ of records, for a bank; a single model takes none."""
+    own = dict(batch.flow)
+    if nuisances.length_scale_log_sd > 0.0:
+        if isinstance(noise, NoiseModel) or np.ptp(np.log(noise.length_scale)) == 0.0:
+            raise InputError(
+                "The noise knows one length scale only, so it cannot be averaged over others: make a bank with "
+                "theory_bank(..., length_scale=[shortest, longest])."
+            )
+        if nuisances.length_scale is not None:
+            own["length_scale"] = np.full(len(batch), nuisances.length_scale)
+        elif "length_scale" not in own:
+            raise InputError(
+                "The median length scale is not known: give Nuisances a length_scale, or the records a variable of "
+                "that name."
+            )
+        own["length_scale"] = factor * own["length_scale"]
+    return {} if isinstance(noise, NoiseModel) else own
+
+
+def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], streams: RecordStreams) -> FloatArray:
+    """Draw radial variances, shape (n_record, n_draw, n_beam), from the posterior predictive distribution."""
+    n_record, n_draw, n_beam = expected.shape
+    normal = streams.normal(np.arange(n_record), (n_draw, n_beam))
+    half_variance = 0.5 * np.einsum("rbk,rbk->rb", root, root)
+    log_noise = normal @ root.swapaxes(-1, -2) - half_variance[:, None, :]
+    return np.where(used[:, None, :], expected * np.exp(log_noise), np.nan)
+
+
+def _misfit(expected: FloatArray, log_variance: FloatArray, batch: Batch) -> FloatArray:
+    """Return the largest standardized distance of a used beam from its prediction, shape (n_record,)."""
+    log_mean = np.log(expected)
+    centre = log_mean.mean(axis=1) - 0.5 * log_variance
+    spread = np.sqrt(log_mean.var(axis=1) + log_variance)
+    distance = np.abs(np.log(np.where(batch.used, batch.variance, 1.0)) - centre) / spread
+    return np.asarray(np.where(batch.used, distance, 0.0).max(axis=1))
+
+
+def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArray:
+    """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
+    _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
+    values, vectors = np.linalg.eigh(matrices[first])
+    # eigenvalues below zero are rounding: NoiseModel has refused anything more
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
+    return np.asarray(roots[inverse.reshape(-1)])

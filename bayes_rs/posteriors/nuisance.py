@@ -1,0 +1,269 @@
+"""What may be uncertain beside R: yaw, tilt, instrument noise, gradients of R, length scale, size of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray, check_non_negative, check_positive
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
+from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
+from bayes_rs.geometry.stress import rotate_stress
+
+N_LENGTH_NODE = 5
+"""Nodes of the Gauss–Hermite rule over ln L."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisances:
+    """Uncertain quantities that the posterior of R is averaged over; a zero (or an infinite `inflation_dof`) is off.
+
+    Parameters
+    ----------
+    yaw_sd_deg : float
+        Standard deviation of the error of a record's wind direction relative to the lidar, degrees.
+    tilt_sd_deg : float
+        Standard deviation of the error of the lidar's tilt, degrees.
+    instrument_noise_log_sd : float
+        Standard deviation of the logarithm of the instrument's noise variance; its median is the ``instrument_noise``
+        of `fit`, the same for all beams (of ``"records"``, the mean of those of a record's beams).
+    length_scale_log_sd : float
+        Standard deviation of ln L, the turbulence's length scale; needs a noise bank that spans several.
+    length_scale : float, optional
+        Median of L, m; by default the ``length_scale`` of each record.
+    inflation : float
+        Fixed factor of the covariance of the log-variances, above 1 for flow that is less Gaussian than the model.
+    inflation_dof : float
+        Degrees of freedom ν of an uncertain factor with the inverse-gamma distribution IG(ν/2, ν/2).
+    vertical_gradient_sd, lateral_gradient_sd : float
+        Standard deviation of the change of ln R over 100 m, upwards and along +y of the lidar's frame: 0.3 means that
+        the stresses change by up to about a third over 100 m. See the notes.
+
+    Raises
+    ------
+    InputError
+        If a width is negative or not finite, or a factor is not positive.
+
+    Notes
+    -----
+    An error of yaw or tilt turns R, since n Q R Qᵀ nᵀ is the variance of the beam n Q; the noise stays that of the
+    nominal direction. Yaw, tilt, the instrument's noise and the gradients are sampled as coordinates of their own,
+    normal a priori.
+
+    Gradients γ make the six stresses grow and fall together, R(y, z) = R exp(γ_y y + γ_z z) with y and z from the
+    middle of the scan's points (`bayes_rs.geometry.inflow.gradient_columns`), where R is that of the result. It stays
+    realizable, and is linear in y and z as far as the change is small. With one opening angle, almost all of a gradient
+    looks like uw (vertical) or uv (lateral), and priors decide what it is; see `inflow_confounding`. The relative
+    covariance of the noise does not depend on a gradient.
+
+    The length scale is summed out with a Gauss–Hermite rule of five nodes, the inflation exactly: a normal density
+    whose covariance has an inverse-gamma factor is a Student-t.
+
+    Examples
+    --------
+    >>> Nuisances(yaw_sd_deg=2.0).n_coordinate
+    1
+    """
+
+    yaw_sd_deg: float = 0.0
+    tilt_sd_deg: float = 0.0
+    instrument_noise_log_sd: float = 0.0
+    length_scale_log_sd: float = 0.0
+    length_scale: float | None = None
+    inflation: float = 1.0
+    inflation_dof: float = np.inf
+    vertical_gradient_sd: float = 0.0
+    lateral_gradient_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name, unit in (
+            ("yaw_sd_deg", "°"),
+            ("tilt_sd_deg", "°"),
+            ("instrument_noise_log_sd", ""),
+            ("length_scale_log_sd", ""),
+            ("vertical_gradient_sd", "per 100 m"),
+            ("lateral_gradient_sd", "per 100 m"),
+        ):
+            check_non_negative(getattr(self, name), what=name, unit=unit, where="the nuisances")
+        if self.length_scale is not None:
+            check_positive(self.length_scale, what="length_scale", unit="m", where="the nuisances")
+        check_positive(self.inflation, what="inflation", unit="", where="the nuisances")
+        if not self.inflation_dof > 2.0:
+            raise InputError(
+                f"Invalid inflation_dof {self.inflation_dof!r}: it must be above 2, for the noise to have a variance."
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sampled ones, in the order of their coordinates."""
+        switch = {
+            "yaw_error": self.yaw_sd_deg,
+            "tilt_error": self.tilt_sd_deg,
+            "instrument_noise": self.instrument_noise_log_sd,
+            **self._gradient_sd,
+        }
+        return tuple(name for name, width in switch.items() if width > 0.0)
+
+    @property
+    def _gradient_sd(self) -> dict[str, float]:
+        return {"lateral_gradient": self.lateral_gradient_sd, "vertical_gradient": self.vertical_gradient_sd}
+
+    @property
+    def gradient_names(self) -> tuple[str, ...]:
+        """Names of the gradients of R that are sampled, in the order of their coordinates: the last ones."""
+        return tuple(name for name, width in self._gradient_sd.items() if width > 0.0)
+
+    def without_gradients(self) -> Nuisances:
+        """Return the same for a homogeneous inflow."""
+        return replace(self, vertical_gradient_sd=0.0, lateral_gradient_sd=0.0)
+
+    def place(self, scan_geometry: Mapping[str, Any]) -> FloatArray | None:
+        """Return by how much ln E[y] changes with each gradient's coordinate, (n_beam, n_gradient); None if none is on.
+
+        `scan_geometry` is that of the noise model: what `Scan.geometry` returns.
+        """
+        if not self.gradient_names:
+            return None
+        width = np.array([self._gradient_sd[name] for name in self.gradient_names])
+        return np.asarray(gradient_columns(scan_geometry, self.gradient_names) * (width / GRADIENT_LENGTH))
+
+    def in_words(self) -> str:
+        """Say in one line what is uncertain beside R."""
+        parts = []
+        if self.yaw_sd_deg:
+            parts.append(f"yaw ± {self.yaw_sd_deg:g}°")
+        if self.tilt_sd_deg:
+            parts.append(f"tilt ± {self.tilt_sd_deg:g}°")
+        if self.instrument_noise_log_sd:
+            parts.append(f"instrument noise within a factor {np.exp(self.instrument_noise_log_sd):.2g}")
+        for name, width in self._gradient_sd.items():
+            if width:
+                parts.append(f"{name.replace('_', ' ')} of ln R ± {width:g} per {GRADIENT_LENGTH:g} m")
+        if self.length_scale_log_sd:
+            parts.append(f"length scale within a factor {np.exp(self.length_scale_log_sd):.2g}")
+        if self.inflation != 1.0:
+            parts.append(f"noise inflated by {self.inflation:g}")
+        if np.isfinite(self.inflation_dof):
+            parts.append(f"noise inflation uncertain, {self.inflation_dof:g} degrees of freedom")
+        return ", ".join(parts) + " (one standard deviation)" if parts else "nothing but R"
+
+    @property
+    def n_coordinate(self) -> int:
+        """Number of coordinates that are sampled beside those of R."""
+        return len(self.names)
+
+    def length_scale_nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Return factors of L and their weights, each shape (n_node,); one node of weight 1 where L is known."""
+        if self.length_scale_log_sd == 0.0:
+            return np.ones(1), np.ones(1)
+        node, weight = np.polynomial.hermite_e.hermegauss(N_LENGTH_NODE)
+        return np.exp(self.length_scale_log_sd * node), np.asarray(weight / weight.sum())
+
+
+UNITS = {
+    "yaw_error": "degree",
+    "tilt_error": "degree",
+    "instrument_noise": "m2 s-2",
+    "lateral_gradient": "(100 m)-1",
+    "vertical_gradient": "(100 m)-1",
+}
+"""Units of the sampled nuisances in the result."""
+
+
+class Seen(NamedTuple):
+    """What a likelihood takes: stresses, instrument noise and gradients; None for what is not uncertain."""
+
+    stress: FloatArray
+    offset: FloatArray | None = None
+    gradient: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class RecordNuisances:
+    """The sampled nuisances of some records.
+
+    Parameters
+    ----------
+    choice : Nuisances
+        Which are on.
+    yaw : ndarray, shape (n_record,)
+        Nominal wind direction relative to the lidar, rad.
+    instrument_noise : float or ndarray, shape (n_record, 1)
+        Median of the instrument's noise variance, m² s⁻²; used where it is uncertain.
+    """
+
+    choice: Nuisances = field(default_factory=Nuisances)
+    yaw: FloatArray = field(default_factory=lambda: np.zeros(0))
+    instrument_noise: FloatArray | float = 0.0
+
+    @property
+    def n_coordinate(self) -> int:
+        """Number of sampled nuisances."""
+        return self.choice.n_coordinate
+
+    def values(self, coordinate: FloatArray) -> dict[str, FloatArray]:
+        """Return the nuisances, each (n_record, n_draw), of standard normal coordinates (n_record, n_draw, n)."""
+        found = {}
+        for index, name in enumerate(self.choice.names):
+            if name == "instrument_noise":
+                found[name] = self.instrument_noise * np.exp(
+                    self.choice.instrument_noise_log_sd * coordinate[..., index]
+                )
+            else:
+                found[name] = self._width(name) * coordinate[..., index]
+        return found
+
+    def _width(self, name: str) -> float:
+        return float(
+            getattr(self.choice, {"yaw_error": "yaw_sd_deg", "tilt_error": "tilt_sd_deg"}.get(name, f"{name}_sd"))
+        )
+
+    def apply(self, stress: FloatArray, coordinate: FloatArray) -> Seen:
+        """Return the stresses as the nominal beams see them, and what else of it is uncertain.
+
+        Parameters
+        ----------
+        stress : ndarray, shape (n_record, n_draw, 6)
+            Stresses in the mean-wind frame, m² s⁻².
+        coordinate : ndarray, shape (n_record, n_draw, n)
+            Coordinates of the nuisances.
+
+        Returns
+        -------
+        stress : ndarray, shape (n_record, n_draw, 6)
+            Q R Qᵀ with Q = T_yaw(−ψ) T_tilt(δα) T_yaw(ψ + δψ): the beams are row vectors, n T_tilt T_yaw.
+        offset : ndarray or None, shape (n_record, n_draw)
+            Variance of the instrument's noise, m² s⁻².
+        gradient : ndarray or None, shape (n_record, n_draw, n_gradient)
+            Coordinates of the gradients, for the likelihood's ``place``.
+        """
+        values = self.values(coordinate)
+        offset = values.pop("instrument_noise", None)
+        n_gradient = len(self.choice.gradient_names)
+        gradient = coordinate[..., -n_gradient:] if n_gradient else None
+        for name in self.choice.gradient_names:
+            values.pop(name)
+        if not values:
+            return Seen(stress, offset, gradient)
+        nominal = np.broadcast_to(self.yaw[:, None], stress.shape[:-1])
+        error = {name: np.deg2rad(value) for name, value in values.items()}
+        turn = yaw_matrix(nominal + error.get("yaw_error", 0.0))
+        if "tilt_error" in error:
+            turn = tilt_matrix(error["tilt_error"]) @ turn
+        turn = yaw_matrix(-nominal) @ turn
+        return Seen(rotate_stress(stress, turn.swapaxes(-1, -2)), offset, gradient)
+
+    def take(self, records: NDArray[np.int64]) -> RecordNuisances:
+        """Return the nuisances of some of the records."""
+        noise = self.instrument_noise
+        return RecordNuisances(
+            self.choice,
+            self.yaw[records] if len(self.yaw) else self.yaw,
+            noise[records] if isinstance(noise, np.ndarray) else noise,
+        )

@@ -1,0 +1,87 @@
+"""What every sampler returns, and how its draws are grouped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.posteriors import diagnostics
+
+N_ENSEMBLE = 4
+"""Independent ensembles of a record; R-hat compares them."""
+N_WALKER = 8
+"""Walkers of one ensemble."""
+N_CHAIN = N_ENSEMBLE * N_WALKER
+R_HAT_LIMIT = 1.05
+"""Ensembles of a record that differ by more than this have not found the same posterior."""
+PARETO_K_LIMIT = 0.7
+"""Importance weights with a heavier tail than this cannot be trusted (Vehtari et al. 2024)."""
+BLOCK = 16
+"""Chains are a whole number of blocks long: one draw of a block predicts, and half of them stay when chains double."""
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Draws of the posteriors of some records, with what the sampler can say of them.
+
+    Parameters
+    ----------
+    coordinate : ndarray, shape (n_record, N_CHAIN, n_draw, n)
+        Draws, in the posterior's coordinates; chains of one ensemble are neighbours.
+    stress : ndarray, shape (n_record, N_CHAIN, n_draw, 6)
+        The same as stresses, m² s⁻².
+    ess_bulk, ess_tail, r_hat : ndarray, shape (n_record, 6)
+        Diagnostics of the stresses.
+    autocorrelation_time : ndarray, shape (n_record, 6)
+        In sampler steps.
+    acceptance : ndarray, shape (n_record,)
+        Share of proposals that were accepted; of importance draws, the effective share.
+    n_step : ndarray of int, shape (n_record,)
+        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
+    pareto_k : ndarray, shape (n_record,)
+        Tail shape of the importance weights; NaN for a sampler without weights.
+    sampler : ndarray of str, shape (n_record,)
+        Which sampler made the draws.
+    """
+
+    coordinate: FloatArray
+    stress: FloatArray
+    ess_bulk: FloatArray
+    ess_tail: FloatArray
+    r_hat: FloatArray
+    autocorrelation_time: FloatArray
+    acceptance: FloatArray
+    n_step: NDArray[np.int64]
+    pareto_k: FloatArray
+    sampler: NDArray[np.str_]
+
+    def missed(self, target_ess: float) -> NDArray[np.bool_]:
+        """Tell which records fall short of the target, shape (n_record,)."""
+        return np.asarray(
+            ~(self.ess_bulk.min(axis=1) >= target_ess)
+            | ~(self.r_hat.max(axis=1) <= R_HAT_LIMIT)
+            | (self.pareto_k > PARETO_K_LIMIT)
+        )
+
+    def take(self, records: NDArray[np.int64]) -> Chains:
+        """Return the draws of some of the records."""
+        return Chains(**{name: getattr(self, name)[records] for name in self.__dataclass_fields__})
+
+    def put(self, records: NDArray[np.int64], others: Chains) -> None:
+        """Replace the draws of some records."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name)[records] = getattr(others, name)
+
+
+def kept_draws(target_ess: int) -> int:
+    """Return how many draws of each chain are kept: twice the target in all, in whole blocks, four blocks at least."""
+    return max(4 * BLOCK, BLOCK * -(-2 * target_ess // (N_CHAIN * BLOCK)))
+
+
+def diagnose_stress(stress: FloatArray) -> tuple[diagnostics.Diagnosis, FloatArray]:
+    """Return diagnostics, and autocorrelation time in draws, of stresses (n_record, N_CHAIN, n_draw, 6)."""
+    by_component = np.ascontiguousarray(np.moveaxis(stress, -1, 1))
+    return diagnostics.diagnose(by_component, N_ENSEMBLE), diagnostics.autocorrelation_time(by_component)

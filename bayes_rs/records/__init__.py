@@ -1,0 +1,1 @@
+"""Records from radial velocities: variances, counts, flags, and the mean wind."""

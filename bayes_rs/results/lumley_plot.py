@@ -1,0 +1,91 @@
+"""Lumley's triangle: how anisotropic the turbulence is, with the posterior's uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.results.derived import lumley_coordinates
+from bayes_rs.results.plots import PRIOR_COLOUR, find_record
+from bayes_rs.results.result import check_result, group
+
+POINT_COLOUR = "#1f4e79"
+_MOST_DRAWS = 2000
+
+
+def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
+    """Draw the anisotropy of the Reynolds stresses in Lumley's triangle.
+
+    Parameters
+    ----------
+    result : DataTree
+        From `fit`.
+    record : int or str, optional
+        Number of a record, or its start as ISO time (UTC), whose draws are shown; by default the medians of all
+        records with the central 68 % of their draws.
+
+    Returns
+    -------
+    figure : Figure
+        The plane of ξ and η, with the border of what is realizable.
+
+    Raises
+    ------
+    InputError
+        If the tree is not a result of `fit`, or the record does not exist or was not fitted.
+
+    Notes
+    -----
+    6ξ³ = b_ij b_jk b_ki and 6η² = b_ij b_ji with b = R/(2k) − I/3; Pope (2000), Turbulent Flows, Sect. 11.3.2. Left of
+    ξ = 0 two principal variances are larger than the third, right of it one is; on the upper border one is zero.
+    """
+    check_result(result)
+    stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    axis = figure.subplots()
+    xi = np.linspace(-1.0 / 6.0, 1.0 / 3.0, 201)
+    axis.plot(xi, np.sqrt(1.0 / 27.0 + 2.0 * xi**3), color="0.3", linewidth=1.2)
+    axis.plot([-1.0 / 6.0, 0.0, 1.0 / 3.0], [1.0 / 6.0, 0.0, 1.0 / 3.0], color="0.3", linewidth=1.2)
+    for place, words, side in (
+        ((0.0, 0.0), "isotropic", ("left", "bottom", 6)),
+        ((1.0 / 3.0, 1.0 / 3.0), "one component", ("right", "bottom", -6)),
+        ((-1.0 / 6.0, 1.0 / 6.0), "two equal\ncomponents", ("left", "bottom", 0)),
+    ):
+        axis.annotate(words, place, (side[2], 4), textcoords="offset points", ha=side[0], va=side[1], fontsize=9)
+    if record is None:
+        fitted = np.isfinite(stress).all(axis=(1, 2, 3))
+        _draw_records(axis, stress[fitted].reshape(int(fitted.sum()), -1, stress.shape[-1]))
+        axis.set_title(f"{int(fitted.sum())} records: medians and central 68 %", fontsize=10)
+    else:
+        index = find_record(result, record)
+        draws = stress[index].reshape(-1, stress.shape[-1])
+        step = max(1, len(draws) // _MOST_DRAWS)
+        axis.plot(*lumley_coordinates(draws[::step]), ".", color=POINT_COLOUR, markersize=2, alpha=0.4)
+        axis.plot(*(np.median(part) for part in lumley_coordinates(draws)), "o", color=PRIOR_COLOUR, label="median")
+        axis.legend(loc="lower right")
+        axis.set_title(f"record {record}: draws of the posterior", fontsize=10)
+    axis.set_xlabel("ξ")
+    axis.set_ylabel("η")
+    axis.set_xlim(-0.2, 0.36)
+    axis.set_ylim(-0.01, 0.37)
+    return figure
+
+
+def _draw_records(axis: Axes, stress: FloatArray) -> None:
+    """Draw medians and bars of records, stresses (n_record, n_draw, 6)."""
+    levels = [np.quantile(part, (0.16, 0.5, 0.84), axis=1) for part in lumley_coordinates(stress)]
+    (left, x, right), (low, y, high) = levels
+    axis.errorbar(
+        x,
+        y,
+        xerr=[x - left, right - x],
+        yerr=[y - low, high - y],
+        fmt="o",
+        color=POINT_COLOUR,
+        markersize=3,
+        linewidth=0.5,
+        alpha=0.6,
+    )

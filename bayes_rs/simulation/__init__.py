@@ -1,0 +1,1 @@
+"""A virtual lidar: records drawn on lines, or seen in boxes of turbulence."""

@@ -1,0 +1,1 @@
+"""The Mann model: spectral tensor, stresses at a point, covariances of two points."""

@@ -1,0 +1,67 @@
+"""A folder of a few files of radial velocities for tests, and for the processes that tests interrupt and kill."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from bayes_rs import MannTurbulence, calibrate, load_scan, record_store, simulate
+from bayes_rs.jobs.long_job import run_folder_fit
+
+SCAN = load_scan("2-beam")
+FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
+DURATION = 60.0
+RECORDING = {"duration": DURATION, "min_availability": 0.5}
+FITTING = {"target_ess": 100, "seed": 3}
+N_RECORD = 24
+
+
+def make_series():
+    """Radial velocities of records in a row; two of them are a gap."""
+    series = simulate(SCAN, FLOW, wind_speed=10.0, duration=DURATION, n_records=N_RECORD, seed=5)
+    second = (series["time"].values - series["time"].values[0]) / np.timedelta64(1, "s")
+    return series.isel(sample=np.flatnonzero((second < 500.0) | (second > 700.0)))
+
+
+def write_files(folder, series, n_file=5):
+    """Write the series to files that end anywhere, with names in another order than their times."""
+    folder.mkdir(parents=True, exist_ok=True)
+    edges = [series.sizes["sample"] * index // n_file + 17 * (0 < index < n_file) for index in range(n_file + 1)]
+    for index in range(n_file):
+        write_file(folder / f"{9 - index}-day.csv", series.isel(sample=slice(edges[index], edges[index + 1])))
+
+
+def write_file(file, series):
+    series.to_dataframe().reset_index()[["time", "beam", "radial_velocity"]].to_csv(file, index=False)
+
+
+def write_noise(file):
+    calibrate(SCAN, FLOW, wind_speed=10.0, duration=DURATION, cache=False).save(file)
+
+
+def run(files, output, noise, **options):
+    return run_folder_fit(files, SCAN, output, recording=RECORDING, noise_file=noise, **{**FITTING, **options})
+
+
+def stop_at_write(number, sent):
+    """Send this process a signal in the middle of writing its file of that number."""
+    replace = Path.replace
+    count = iter(range(1_000_000))
+
+    def replacing(self, target):
+        if next(count) == number:
+            with self.open("rb+") as file:
+                file.truncate(self.stat().st_size // 2)
+            os.kill(os.getpid(), sent)
+        return replace(self, target)
+
+    Path.replace = replacing
+
+
+if __name__ == "__main__":
+    record_store.SAVE_SECONDS = 0.0
+    files, output, noise, number, sent = sys.argv[1:6]
+    stop_at_write(int(number), getattr(signal, sent))
+    run(files, output, noise, resume=True)

@@ -1,0 +1,297 @@
+"""Damaged files: every reader gives a series, or one line that names the file; nothing else, and in finite time.
+
+Readers of text run here. Readers on compiled libraries run in a process of their own, which is killed when it hangs.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from format_files import compress, long_frame, series_of, wide_frame, write_hpl, write_spinnerlidar, write_zx
+from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.readers import read_radial_velocity, read_statistics
+from bayes_rs.readers.netcdf_check import check_netcdf
+
+SIX = six_beam(45.0, step=1.0)
+ZX = load_scan("zx-tm")
+SPINNER = load_scan("spinnerlidar")
+SHORT = series_of(SIX, n_scan=8)
+RAYS = rays_of(SHORT, SIX)
+SECONDS_PER_FILE = 30.0  # a machine at work; reading one takes a tenth of a second
+
+JUNK = [
+    b"1e308", b"-1e999", b"9" * 40, b"nan", b"inf", b"-", b'"', b"\0", b"1e-320", b"2262-04-11T23:47:16.9",
+    b"1677-09-21", b"0001-01-01", b"\xff\xfe", b"NaT", b"None", b"True", b"0x10", b"1_000", b"\xef\xbb\xbf", b"\x1a",
+]  # fmt: skip
+SIGNS = [b",", b";", b"\t", b" ", b".", b"\n", b"\r\n", b'"', b"-", b"1", b"0", b":", b"*"]
+
+
+def mutate(raw: bytes, seed: int) -> bytes:
+    """Damage a file in one to three places: cut, flip, insert, lose, swap separators, overwrite, repeat."""
+    rng = np.random.default_rng(seed)
+    body = bytearray(raw)
+    for _ in range(rng.integers(1, 4)):
+        size = max(len(body), 1)
+        at = int(rng.integers(0, size if rng.random() < 0.6 else min(size, 400)))
+        match int(rng.integers(0, 8)):
+            case 0:
+                del body[at:]
+            case 1 if body:
+                body[at] ^= 1 << int(rng.integers(0, 8))
+            case 2:
+                body[at:at] = rng.bytes(int(rng.integers(1, 20)))
+            case 3:
+                del body[at : at + int(rng.integers(1, 50))]
+            case 4:
+                old, new = (SIGNS[int(index)] for index in rng.integers(0, len(SIGNS), 2))
+                body = bytearray(bytes(body).replace(old, new, int(rng.integers(1, 400))))
+            case 5:
+                body[at : at + int(rng.integers(0, 8))] = JUNK[int(rng.integers(0, len(JUNK)))]
+            case 6:
+                body[at:at] = body[int(rng.integers(0, size)) :][:100]
+            case _:
+                body[at : at + 8] = rng.bytes(8)
+    return bytes(body)
+
+
+def statistics_file(file: Path) -> Path:
+    first = "CSV Converter: v1,114;Unit: 317;Time sync: UTC +1,0 hrs"
+    headings = "Reference;Time and Date;Tilt (deg);Horizontal Wind Speed (m/s) at 297m;TI at 297m;TI at 38m"
+    rows = [f"2198{number};13.12.2016 00:{number}0:00;1;5,0{number}9;0,0959;9999" for number in range(6)]
+    file.write_text("\n".join([first, headings, *rows]))
+    return file
+
+
+def old_hdf5(file: Path) -> Path:
+    """A NetCDF-4 file without checksums, as libraries wrote them for long."""
+    with h5py.File(file, "w", libver=("earliest", "v108")) as opened:
+        opened.create_dataset("sample", data=np.arange(SHORT.sizes["sample"])).make_scale("sample")
+        for name in ("time", "beam", "radial_velocity"):
+            values = SHORT[name].values
+            variable = opened.create_dataset(name, data=values.astype("i8") if name == "time" else values)
+            variable.dims[0].attach_scale(opened["sample"])
+        opened["time"].attrs["units"] = "nanoseconds since 1970-01-01"
+    return file
+
+
+def table(file: Path, frame=long_frame, **options) -> Path:
+    frame(SHORT).to_csv(file, index=False, **options)
+    return file
+
+
+def packed(file: Path, suffix: str) -> Path:
+    plain = table(file)
+    result = compress(plain, suffix)
+    plain.unlink()
+    return result
+
+
+def netcdf(file: Path, dataset: xr.Dataset, **options) -> Path:
+    dataset.to_netcdf(file, **options)
+    return file
+
+
+TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
+    "long": (lambda folder: table(folder / "a.csv"), {}),
+    "wide": (lambda folder: table(folder / "a.csv", wide_frame), {}),
+    "decimal commas": (
+        lambda folder: table(folder / "a.csv", sep=";", decimal=","),
+        {"separator": ";", "decimal": ","},
+    ),
+    "halo": (lambda folder: write_hpl(folder / "a.hpl", SHORT, SIX), {}),
+    "spinnerlidar": (
+        lambda folder: write_spinnerlidar(folder / "a.txt", series_of(SPINNER, n_scan=1), SPINNER),
+        {"scan": SPINNER},
+    ),
+    "zx": (
+        lambda folder: write_zx(folder / "a.csv", series_of(ZX, n_scan=2), ZX),
+        {
+            "scan": ZX,
+            "columns": {"time": "When", "phase": "Scan angle", "radial_velocity": "LOS"},
+            "time_format": "%d/%m/%Y %H:%M:%S.%f",
+            "phase_zero_deg": 90.0,
+            "phase_turns": "down",
+        },
+    ),
+    "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
+    "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
+    "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
+}
+COMPILED: dict[str, Callable[[Path], Path]] = {
+    "netcdf": lambda folder: netcdf(folder / "a.nc", SHORT, engine="h5netcdf"),
+    "classic": lambda folder: netcdf(folder / "a.nc", SHORT, format="NETCDF3_64BIT", engine="scipy"),
+    "windcube": lambda folder: write_windcube(folder / "a.nc", windcube_sweep(RAYS, accumulation=1.0)),
+    "e-windlidar": lambda folder: netcdf(folder / "a.nc", e_windlidar(RAYS), engine="h5netcdf"),
+    "old": lambda folder: old_hdf5(folder / "a.nc"),
+    "zst": lambda folder: packed(folder / "a.csv", ".zst"),
+}
+
+
+def parquet(folder: Path) -> Path:
+    long_frame(SHORT).to_parquet(folder / "a.parquet")
+    return folder / "a.parquet"
+
+
+COMPILED["parquet"] = parquet
+
+
+def check(file: Path, *, scan=SIX, statistics: bool = False, **options) -> bool:
+    """Read a damaged file; whether it gave a series. Any other error than ours goes up."""
+    try:
+        if statistics:
+            return bool(read_statistics(file).sizes["time"] >= 0)
+        series = read_radial_velocity(file, scan, **options)
+    except InputError as error:
+        message = str(error)
+    else:
+        message = ""
+    if message:
+        assert str(file) in message
+        assert "\n" not in message
+        return False
+    assert series.sizes["sample"] > 0
+    assert not np.isnat(series["time"].values).any()
+    assert (np.diff(series["time"].values) >= np.timedelta64(0)).all()
+    assert np.isin(series["beam"].values, scan.beam).all()
+    assert not np.isinf(series["radial_velocity"].values).any()
+    return True
+
+
+@pytest.mark.parametrize("kind", TEXT)
+class TestText:
+    def damaged(self, folder: Path, kind: str, seeds: range) -> None:
+        write, options = TEXT[kind]
+        file = write(folder)
+        raw = file.read_bytes()
+        assert check(file, **options)
+        read = 0
+        for seed in seeds:
+            file.write_bytes(mutate(raw, seed))
+            try:
+                read += check(file, **options)
+            except Exception as error:
+                error.add_note(f"seed {seed} of {kind}")
+                raise
+        assert read < len(seeds)
+
+    def test_some(self, tmp_path, kind):
+        self.damaged(tmp_path, kind, range(60))
+
+    @pytest.mark.long
+    def test_many(self, tmp_path, kind):
+        self.damaged(tmp_path, kind, range(1000, 4000))
+
+    def test_binary_junk(self, tmp_path, kind):
+        write, options = TEXT[kind]
+        file = write(tmp_path)
+        rng = np.random.default_rng(5)
+        for size in (0, 1, 100, 5000):
+            file.write_bytes(rng.bytes(size))
+            assert not check(file, **options)
+
+
+def run_compiled(kind: str, first: int, last: int) -> tuple[int, list[str]]:
+    """Read damaged files in another process; return how many, and what went wrong there."""
+    command = [sys.executable, "-W", "ignore", __file__, kind, str(first), str(last)]
+    limit = 30.0 + SECONDS_PER_FILE + 0.5 * (last - first)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)  # noqa: S603
+    except subprocess.TimeoutExpired as expired:
+        said = (expired.stdout or b"").decode().splitlines()
+        return len(said), [f"hangs at {said[-1]}"]
+    said = done.stdout.splitlines()
+    wrong = [f"ends with {done.returncode} after {said[-1:]}: {done.stderr[-500:]}"] if done.returncode else []
+    return len(said), wrong
+
+
+WITH_CHECKSUMS = [kind for kind in COMPILED if kind != "old"]
+
+
+class TestCompiled:
+    def test_some(self):
+        assert run_compiled(",".join(WITH_CHECKSUMS), 0, 40) == (40 * len(WITH_CHECKSUMS), [])
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("kind", WITH_CHECKSUMS)
+    def test_many(self, kind):
+        """NetCDF-4 keeps references in a heap without checksums: one file in several thousand may hang the library."""
+        n_read, wrong = run_compiled(kind, 1000, 2500)
+        assert not [text for text in wrong if not re.match("hangs", text)]
+        assert n_read > 100
+
+
+@pytest.mark.long
+def test_old_hdf5():
+    """Without checksums the library can crash: what matters here is that no other error comes."""
+    _, wrong = run_compiled("old", 0, 500)
+    assert not [text for text in wrong if "Error" in text.replace("Fatal Python error", "")]
+
+
+class TestNetcdfCheck:
+    def write(self, folder: Path, **options) -> Path:
+        return netcdf(folder / "a.nc", SHORT, **options)
+
+    @pytest.mark.parametrize("version", ["NETCDF3_CLASSIC", "NETCDF3_64BIT"])
+    def test_a_good_file_passes(self, tmp_path, version):
+        series = SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32))
+        file = netcdf(tmp_path / "a.nc", series, format=version, engine="scipy", unlimited_dims=["sample"])
+        check_netcdf(file)
+        assert read_radial_velocity(file, SIX).sizes["sample"] == SHORT.sizes["sample"]
+
+    def test_a_cut_classic_file(self, tmp_path):
+        """The library would give zeros."""
+        file = self.write(tmp_path, format="NETCDF3_64BIT", engine="scipy")
+        file.write_bytes(file.read_bytes()[:-100])
+        with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: it has \d+ bytes, and a variable ends"):
+            read_radial_velocity(file, SIX)
+
+    def test_a_count_that_would_keep_the_library_busy(self, tmp_path):
+        file = self.write(tmp_path, format="NETCDF3_64BIT", engine="scipy")
+        raw = bytearray(file.read_bytes())
+        raw[12:16] = b"\x7f\xff\xff\xff"  # the number of dimensions
+        file.write_bytes(raw)
+        with pytest.raises(InputError, match="its header announces 2147483647 entries, more than it can hold"):
+            read_radial_velocity(file, SIX)
+
+    def test_a_variable_that_would_fill_the_memory(self, tmp_path):
+        with h5py.File(tmp_path / "a.nc", "w") as opened:
+            opened.create_dataset("radial_velocity", shape=(10**12,), chunks=(1000,), dtype="f8")
+        with pytest.raises(InputError, match=r"its variable 'radial_velocity' announces 8000000000000 bytes"):
+            read_radial_velocity(tmp_path / "a.nc", SIX)
+
+    def test_a_flipped_bit_in_checked_metadata(self, tmp_path):
+        file = self.write(tmp_path, engine="h5netcdf")
+        raw = bytearray(file.read_bytes())
+        raw[raw.find(b"radial_velocity") + 3] ^= 1
+        file.write_bytes(raw)
+        with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: .*; check that it is complete"):
+            read_radial_velocity(file, SIX)
+
+
+def _main(kind: str, first: int, last: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = COMPILED[kind](Path(folder))
+        raw = file.read_bytes()
+        assert check(file)
+        for seed in range(first, last):
+            file.write_bytes(mutate(raw, seed))
+            check(file)
+            sys.stdout.write(f"{kind}:{seed}\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    for named in sys.argv[1].split(","):
+        _main(named, int(sys.argv[2]), int(sys.argv[3]))
