@@ -191,7 +191,7 @@ class TestText:
 
     @pytest.mark.long
     def test_many(self, tmp_path, kind):
-        self.damaged(tmp_path, kind, range(1000, 4000))
+        self.damaged(tmp_path, kind, range(1000, 2500))
 
     def test_binary_junk(self, tmp_path, kind):
         write, options = TEXT[kind]

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.readers import READERS, read_radial_velocity
-from bayes_rs.scan_file import load_scan
 
 LAST_DIGIT = 4 * np.finfo(float).eps  # decimal text to binary: pandas may be off by a unit in the last place
 SCAN = load_scan("4-beam")
@@ -322,7 +322,7 @@ class TestBadInput:
             read_radial_velocity([], SCAN)
 
     def test_folder(self, tmp_path):
-        with pytest.raises(InputError, match="is a folder: name the files in it"):
+        with pytest.raises(InputError, match=r"Folder '.*' has no file that can be read: its files are 0 hidden"):
             read_radial_velocity(tmp_path, SCAN)
 
     @pytest.mark.parametrize("name", ["day.csv", "day.parquet", "day.nc", "day.csv.gz"])
@@ -344,7 +344,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize("name", ["day.xlsx", "day", "day.gz"])
     def test_unknown_suffix(self, tmp_path, name):
-        with pytest.raises(InputError, match=r"Unknown suffix '.*' of file .*: it must be one of .csv, "):
+        with pytest.raises(InputError, match=r"Unknown suffix '.*' of file .*: it must be one of .hpl, .csv, "):
             read_radial_velocity(write(tmp_path, HEAD, name), SCAN)
         if name != "day.gz":
             series = read_radial_velocity(write(tmp_path, HEAD + ROWS[0], name), SCAN, file_format="long")
@@ -426,7 +426,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"file_format": "excel"}, "Unknown file_format 'excel': it must be one of auto, long, wide, netcdf."),
+            ({"file_format": "excel"}, "Unknown file_format 'excel': it must be one of auto, halo, zx, "),
             ({"positive": "up"}, "Unknown positive 'up': it must be one of away, towards."),
             ({"velocity_unit": "mph"}, "Unknown velocity_unit 'mph': it must be one of m/s, km/h, knot."),
             ({"columns": {"velocity": "v"}}, "Unknown name 'velocity' in columns: it must be one of time, beam,"),
@@ -448,7 +448,7 @@ class TestBadInput:
 
 
 def test_the_formats():
-    assert list(READERS) == ["long", "wide", "netcdf"]
+    assert list(READERS) == ["halo", "zx", "spinnerlidar", "long", "wide", "windcube", "e-windlidar", "netcdf"]
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_variables import decode_times, open_netcdf, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
-from bayes_rs.scan import Scan
 
 NAMES = {
     "radial_velocity": "VEL",

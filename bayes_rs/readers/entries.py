@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import Column
-from bayes_rs.scan import Scan
 
 BoolArray = NDArray[np.bool_]
+_EPOCHS = {"unix": ("1970-01-01", 1.0), "labview": ("1904-01-01", 1.0), "matlab": ("1970-01-01", 86400.0)}
+_MATLAB_EPOCH = 719529.0  # the datenum of 1970-01-01
 _WITH_OFFSET = r":\d{2}.*(?:Z|z|[+-]\d{2}(?::?\d{2})?)$"
 
 
@@ -36,7 +38,7 @@ def numbers(column: Column, file_format: FileFormat) -> tuple[FloatArray, BoolAr
         if bad.any():
             index = int(np.argmax(bad))
             raise InputError(
-                f"Invalid {column.name} {str(column.values.iloc[index])!r} in {column.where(index)}: it must be a "
+                f"Invalid {column.name} {_shown(column.values.iloc[index])} in {column.where(index)}: it must be a "
                 "number; correct the entry, or leave it empty if the value is missing."
             )
     is_invalid = file_format.is_invalid(values)
@@ -60,14 +62,21 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     is_number = pd.to_numeric(text.mask(text.str.contains(":", regex=False)), errors="coerce")
     is_invalid = file_format.is_invalid(is_number.to_numpy(dtype=np.float64, na_value=np.nan))
     known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
-    parsed = pd.to_datetime(text.where(known), format="ISO8601", utc=True, errors="coerce")
+    if file_format.time_format in _EPOCHS:
+        return _counted(is_number, known, column, file_format.time_format), is_invalid
+    pattern = file_format.time_format or "ISO8601"
+    parsed = pd.to_datetime(text.where(known), format=pattern, utc=True, errors="coerce")
     in_range = (parsed > pd.Timestamp.min.tz_localize("UTC")) & (parsed < pd.Timestamp.max.tz_localize("UTC"))
-    bad = known & (~in_range.to_numpy(dtype=bool) | is_number.notna().to_numpy(dtype=bool))
+    bad = known & ~in_range.to_numpy(dtype=bool)
+    if file_format.time_format is None:  # ISO 8601 would take a bare number for a year
+        bad |= known & is_number.notna().to_numpy(dtype=bool)
     if bad.any():
         index = int(np.argmax(bad))
+        rule = "in ISO 8601, such as 2020-09-03T19:00:01.5 or 2020-09-03 20:00:01+01:00"
         raise InputError(
-            f"Invalid time {str(raw.iloc[index])!r} in {column.where(index)}: it must be a date and time in ISO 8601, "
-            "such as 2020-09-03T19:00:01.5 or 2020-09-03 20:00:01+01:00; correct the entry."
+            f"Invalid time {_shown(raw.iloc[index])} in {column.where(index)}: it must be a date and time "
+            f"{rule if file_format.time_format is None else f'of the form {pattern!r}'}; correct the entry"
+            f"{', or give its time_format.' if file_format.time_format is None else '.'}"
         )
     naive = parsed.dt.tz_localize(None)
     with_offset = text.str.contains(_WITH_OFFSET, regex=True, na=False).to_numpy(dtype=bool)
@@ -75,6 +84,28 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
         return _as_ns(naive), is_invalid
     converted = _to_utc(naive.where(~with_offset), column, file_format)
     return np.where(with_offset, _as_ns(naive), converted), is_invalid
+
+
+def _counted(number: pd.Series[Any], known: BoolArray, column: Column, time_format: str) -> NDArray[np.datetime64]:
+    """Return times that are counted from an epoch, to a microsecond; float64 resolves no more."""
+    epoch, unit = _EPOCHS[time_format]
+    count = number.to_numpy(dtype=np.float64, na_value=np.nan)
+    seconds = unit * (count - (_MATLAB_EPOCH if time_format == "matlab" else 0.0))
+    bad = known & ~(np.abs(seconds) < 9e9)
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise InputError(
+            f"Invalid time {_shown(column.values.iloc[index])} in {column.where(index)}: it must be a number, as "
+            f"time_format={time_format!r} counts; correct the entry, or give another time_format."
+        )
+    micro = np.round(1e6 * np.where(known, seconds, 0.0)).astype("timedelta64[us]")
+    time = (np.datetime64(epoch, "us") + micro).astype("datetime64[ns]")
+    return np.where(known, time, np.datetime64("NaT", "ns"))
+
+
+def _shown(raw: object) -> str:
+    text = str(raw)
+    return repr(text if len(text) <= 60 else f"{text[:60]}…")
 
 
 def beams(column: Column, scan: Scan, file_format: FileFormat) -> tuple[NDArray[np.int64], BoolArray, BoolArray]:
@@ -153,7 +184,7 @@ def _to_utc(values: pd.Series[Any], column: Column, file_format: FileFormat) -> 
     if lost.any():
         index = int(np.argmax(lost))
         raise InputError(
-            f"Invalid time {str(column.values.iloc[index])!r} in {column.where(index)}: the clock change makes it "
+            f"Invalid time {_shown(column.values.iloc[index])} in {column.where(index)}: the clock change makes it "
             f"twice or not at all a time in {file_format.time_zone}; if the instrument keeps one offset all year, "
             "give that, for example time_zone='UTC+1'."
         )

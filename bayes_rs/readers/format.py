@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta, timezone, tzinfo
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_choice, check_finite
+from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.scan import Scan
+from bayes_rs.geometry.scan import Scan
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
+DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
+"""What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
+TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
+TIME_FORMATS = ("unix", "labview", "matlab")
 VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0}
 OUT_OF_ORDER = ("error", "sort")
 
@@ -40,6 +45,15 @@ class FileFormat:
     out_of_order: str
     required: frozenset[str]
     """Names that the caller mapped to a column, so that the column must be there."""
+    time_format: str | None = None
+    time_stamp: str | None = None
+    sample_duration: float | None = None
+    angle_tolerance_deg: float = 1.0
+    range_tolerance: float | None = None
+    phase_zero_deg: float = 0.0
+    phase_turns: str = "up"
+    from_format: frozenset[str] = frozenset()
+    """Options that neither the caller nor the scan gave, so that the format's own default counts."""
 
     @property
     def zone(self) -> tzinfo:
@@ -55,22 +69,54 @@ class FileFormat:
         sign = -1.0 if self.positive == "towards" else 1.0
         return sign * VELOCITY_UNITS[self.velocity_unit] * velocity
 
+    def to_start(self, time: NDArray[np.datetime64], duration: ArrayLike | None = None) -> NDArray[np.datetime64]:
+        """Move times of samples to the start of their accumulation.
+
+        Parameters
+        ----------
+        time : ndarray of datetime64[ns], shape (n,)
+            As in the file.
+        duration : array_like, shape () or (n,), optional
+            How long a sample took, s, if the file says; the option ``sample_duration`` counts before it.
+
+        Raises
+        ------
+        InputError
+            If times stand at the middle or end of samples of unknown duration.
+        """
+        share = TIME_STAMPS[self.time_stamp or "start"]
+        if share == 0.0:
+            return time
+        length = self.sample_duration if self.sample_duration is not None else duration
+        if length is None and "time_stamp" in self.from_format:
+            return time  # the format's own default must not make a file unreadable
+        if length is None:
+            raise InputError(
+                f"Times that stand at the {self.time_stamp} of a sample need its duration, and the file does not say "
+                "it: give sample_duration in seconds (--sample-duration)."
+            )
+        shift = np.round(share * 1e9 * np.asarray(length, dtype=np.float64))
+        moved: NDArray[np.datetime64] = time - np.where(np.isfinite(shift), shift, 0.0).astype("timedelta64[ns]")
+        return moved
+
     def is_invalid(self, values: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Say which values are among those that mark a missing entry."""
         return np.isin(values, np.asarray(self.invalid, dtype=np.float64))
 
 
-def resolve_format(options: Mapping[str, Any], scan: Scan, *, use_scan: bool = True) -> FileFormat:
+def resolve_format(
+    options: Mapping[str, Any], scan: Scan | None, *, defaults: Mapping[str, Any] | None = None
+) -> FileFormat:
     """Combine the caller's options, the scan's own file format and the defaults, in this order of precedence.
 
     Parameters
     ----------
     options : mapping
         The options of `bayes_rs.read_radial_velocity`; None where not given.
-    scan : Scan
-        The scan whose `file_format` stands in for options not given.
-    use_scan : bool
-        False for a file that describes itself: then only the caller's options count.
+    scan : Scan, optional
+        The scan whose `file_format` stands in for options not given; None for a file that describes itself.
+    defaults : mapping, optional
+        What the format of the file sets where neither the caller nor the scan does.
 
     Returns
     -------
@@ -83,16 +129,17 @@ def resolve_format(options: Mapping[str, Any], scan: Scan, *, use_scan: bool = T
         If an option is not valid.
     """
     given = {key: value for key, value in options.items() if value is not None}
-    chosen: dict[str, Any] = {**(scan.file_format if use_scan else {}), **given}
-    own_columns = dict(scan.file_format.get("columns", {})) if use_scan else {}
-    columns = {**own_columns, **_as_mapping(given.get("columns", {}), "columns")}
+    of_format = dict(defaults or {})
+    of_scan = {} if scan is None else {key: value for key, value in scan.file_format.items() if value != {}}
+    chosen: dict[str, Any] = {**of_format, **of_scan, **given}
+    asked = _as_mapping(given.get("columns", {}), "columns")
+    columns = {**of_format.get("columns", {}), **of_scan.get("columns", {}), **asked}
     for name in columns:
-        if name not in NAMES and not _WIDE_NAME.fullmatch(name):
+        if name not in (*NAMES, *DIRECTION_NAMES) and not _WIDE_NAME.fullmatch(name):
             raise InputError(
-                f"Unknown name {name!r} in columns: it must be one of {', '.join(NAMES)}, or for a wide table "
-                "vr_<beam number>, cnr_<beam number> or status_<beam number>."
+                f"Unknown name {name!r} in columns: it must be one of {', '.join((*NAMES, *DIRECTION_NAMES))}, or for "
+                "a wide table vr_<beam number>, cnr_<beam number> or status_<beam number>."
             )
-    status_valid = chosen.get("status_valid")
     file_format = FileFormat(
         columns={name: str(column) for name, column in columns.items()},
         beam_numbers=_as_beam_numbers(chosen.get("beam_numbers", {})),
@@ -102,9 +149,19 @@ def resolve_format(options: Mapping[str, Any], scan: Scan, *, use_scan: bool = T
         time_zone=str(chosen.get("time_zone", "UTC")),
         separator=_as_separator(chosen.get("separator", ",")),
         decimal=check_choice(chosen.get("decimal", "."), (".", ","), what="decimal"),
-        status_valid=None if status_valid is None else check_finite(status_valid, what="status_valid", unit=""),
+        status_valid=_if_given(chosen, "status_valid", check_finite, unit=""),
         out_of_order=check_choice(chosen.get("out_of_order", "error"), OUT_OF_ORDER, what="out_of_order"),
-        required=frozenset(_as_mapping(given.get("columns", {}), "columns")),
+        required=frozenset(asked),
+        time_format=_as_time_format(chosen.get("time_format")),
+        time_stamp=_if_given(chosen, "time_stamp", check_choice, choices=tuple(TIME_STAMPS)),
+        sample_duration=_if_given(chosen, "sample_duration", check_positive, unit="s"),
+        angle_tolerance_deg=check_positive(
+            chosen.get("angle_tolerance_deg", 1.0), what="angle_tolerance_deg", unit="degrees"
+        ),
+        range_tolerance=_if_given(chosen, "range_tolerance", check_positive, unit="m"),
+        phase_zero_deg=check_finite(chosen.get("phase_zero_deg", 0.0), what="phase_zero_deg", unit="degrees"),
+        phase_turns=check_choice(chosen.get("phase_turns", "up"), ("up", "down"), what="phase_turns"),
+        from_format=frozenset(of_format) - set(of_scan) - set(given),
     )
     as_zone(file_format.time_zone)
     if file_format.separator == file_format.decimal and "separator" in chosen:
@@ -129,6 +186,20 @@ def as_zone(name: str) -> tzinfo:
         raise InputError(
             f"Unknown time_zone {name!r}: it must be a name such as UTC or Europe/Berlin, or an offset such as UTC+1."
         ) from error
+
+
+def _if_given(chosen: Mapping[str, Any], name: str, check: Callable[..., Any], **rule: Any) -> Any:
+    value = chosen.get(name)
+    return None if value is None else check(value, what=name, **rule)
+
+
+def _as_time_format(value: object) -> str | None:
+    if value is None or (isinstance(value, str) and (value in TIME_FORMATS or "%" in value)):
+        return value
+    raise InputError(
+        f"Unknown time_format {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
+        "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
+    )
 
 
 def _as_mapping(value: object, what: str) -> Mapping[str, Any]:

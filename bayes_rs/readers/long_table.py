@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.table import Table, open_table
-from bayes_rs.scan import Scan
+from bayes_rs.readers.table import Column, Table, open_table
 
 ALSO_STATUS = "quality"
 
@@ -28,6 +29,15 @@ def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     InputError
         If a column is missing or an entry cannot be used.
     """
+    return next(_pieces(file, scan, file_format, None))
+
+
+def long_pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
+    """Read a long CSV or Parquet file, `n_row` rows at a time."""
+    return _pieces(file, scan, file_format, n_row)
+
+
+def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) -> Iterator[Samples]:
     table = open_table(file, file_format)
     heading = {name: file_format.column(name) for name in ("time", "beam", "radial_velocity", "cnr", "status")}
     if "status" not in file_format.columns and not table.has("status") and ALSO_STATUS in table.headings:
@@ -38,8 +48,13 @@ def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             if must:
                 raise table.missing(name)
             del heading[name]
-    frame = table.read(list(dict.fromkeys(heading.values())), text=[heading["time"], heading["beam"]])
-    column = {name: table.column(frame, name, heading[name]) for name in heading}
+    wanted, text = list(dict.fromkeys(heading.values())), [heading["time"], heading["beam"]]
+    for frame, before in table.pieces(wanted, text=text, n_row=n_row):
+        yield _samples(table, scan, {name: table.column(frame, name, heading[name], before) for name in heading})
+
+
+def _samples(table: Table, scan: Scan, column: Mapping[str, Column]) -> Samples:
+    file_format = table.file_format
     time, invalid = times(column["time"], file_format)
     beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
     invalid = invalid | invalid_beam
@@ -51,10 +66,10 @@ def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     no_time = np.isnat(time)
     keep = ~(no_time | no_beam)
     return Samples(
-        file=file,
+        file=table.file,
         kind="long",
         file_format=file_format,
-        time=time[keep],
+        time=file_format.to_start(time[keep]),
         beam=beam[keep],
         radial_velocity=file_format.to_away(value["radial_velocity"][keep]),
         cnr=value["cnr"][keep] if "cnr" in value else None,
@@ -62,7 +77,7 @@ def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
         row=np.flatnonzero(keep) + column["time"].first_row,
         row_word=column["time"].row_word,
         counts={
-            "rows": len(frame),
+            "rows": len(keep),
             "rows_invalid_value": int(invalid.sum()),
             "rows_dropped": int((~keep).sum()),
             "rows_without_time": int(no_time.sum()),

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.samples import Samples
-from bayes_rs.scan import Scan
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,20 +13,15 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import VELOCITY_UNITS, FileFormat
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
-from bayes_rs.scan import Scan
 
 SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
 _UNITS = {**{unit: unit for unit in VELOCITY_UNITS}, "m s-1": "m/s", "m s^-1": "m/s", "km h-1": "km/h", "knots": "knot"}
-
-
-def describes_itself(file: Path) -> bool:
-    """Say whether a NetCDF file has a variable radial_velocity with its sign: then no preset speaks for it."""
-    with _open(file) as dataset:
-        return "positive" in dataset.variables.get("radial_velocity", xr.Variable((), 0.0)).attrs
 
 
 def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -35,7 +32,7 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     InputError
         If a variable is missing or has the wrong dimensions, or an entry cannot be used.
     """
-    with _open(file) as dataset:
+    with open_netcdf(file) as dataset:
         column = _flatten(dataset, file, file_format)
     time, invalid = times(column["time"], replace(file_format, time_zone="UTC"))
     beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
@@ -51,7 +48,7 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
         file=file,
         kind="netcdf",
         file_format=file_format,
-        time=time[keep],
+        time=file_format.to_start(time[keep]),
         beam=beam[keep],
         radial_velocity=file_format.to_away(value["radial_velocity"][keep]),
         cnr=value["cnr"][keep] if "cnr" in value else None,
@@ -68,13 +65,15 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     )
 
 
-def own_options(file: Path) -> dict[str, Any]:
-    """Return what a file that describes itself says about sign, unit and status."""
-    with _open(file) as dataset:
-        attributes = dataset.variables["radial_velocity"].attrs
-        options: dict[str, Any] = {"positive": attributes["positive"]}
+def own_options(file: Path) -> dict[str, Any] | None:
+    """Return what a file says about sign, unit and status, if it says the sign: then no preset speaks for it."""
+    with open_netcdf(file) as dataset:
+        attributes = dataset.variables["radial_velocity"].attrs if "radial_velocity" in dataset.variables else {}
+        if "positive" not in attributes:
+            return None
+        options: dict[str, Any] = {"positive": _as_text(attributes["positive"])}
         if "units" in attributes:
-            unit = str(attributes["units"])
+            unit = _as_text(attributes["units"])
             if unit not in _UNITS:
                 raise InputError(
                     f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
@@ -86,14 +85,26 @@ def own_options(file: Path) -> dict[str, Any]:
         return options
 
 
-def _open(file: Path) -> xr.Dataset:
+@contextmanager
+def open_netcdf(file: Path) -> Iterator[xr.Dataset]:
+    """Open a NetCDF file; whatever the libraries raise while it is open says that it is damaged.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     try:
-        return xr.open_dataset(file)
-    except (OSError, ValueError, KeyError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise InputError(
-            f"File {str(file)!r} cannot be read as NetCDF: {reason}; check that it is complete and not damaged."
-        ) from error
+        with xr.open_dataset(file) as dataset:
+            yield dataset
+    except InputError:
+        raise
+    except UNREADABLE as error:
+        raise unreadable(file, error, as_what=" as NetCDF") from error
+
+
+def _as_text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:

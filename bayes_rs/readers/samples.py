@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.scan import Scan
 
 
 @dataclass(frozen=True)
@@ -36,27 +36,80 @@ class Samples:
     row_word: str
     counts: dict[str, int] = field(default_factory=dict)
 
+    def select(self, index: NDArray[Any], *, with_counts: bool) -> Samples:
+        """Return some of the samples, with the counts of the file or with none."""
+        return replace(
+            self,
+            time=self.time[index],
+            beam=self.beam[index],
+            radial_velocity=self.radial_velocity[index],
+            cnr=None if self.cnr is None else self.cnr[index],
+            status=None if self.status is None else self.status[index],
+            row=self.row[index],
+            counts=self.counts if with_counts else dict.fromkeys(self.counts, 0),
+        )
+
     def where(self, index: int) -> str:
         """Say where sample `index` stands."""
         return f"{self.row_word} {self.row[index]} of file {str(self.file)!r}"
 
 
-def join_samples(parts: Sequence[Samples], scan: Scan) -> xr.Dataset:
+@dataclass(frozen=True)
+class FilesReport:
+    """What happened to the files as such: the bad ones that were skipped, and those of a folder passed over."""
+
+    skipped: Sequence[Mapping[str, str]] = ()
+    passed_over: Mapping[str, int] = field(default_factory=dict)
+
+
+def no_sample(file: Path, n_row: int) -> InputError:
+    """Return the error to raise for a file without a sample."""
+    return InputError(
+        f"File {str(file)!r} has no sample with a time and a beam ({n_row} rows were read): check the file and the "
+        "option invalid."
+    )
+
+
+def none_read(n_file: int, reason: str) -> InputError:
+    """Return the error to raise where every file was skipped."""
+    return InputError(f"None of {n_file} files could be read; the first: {reason}")
+
+
+def check_order(part: Samples) -> None:
+    """Refuse a sample that is earlier than one of the same beam above it.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    backwards = _backwards(part)
+    if backwards.any():
+        index = int(np.argmax(backwards))
+        before = np.flatnonzero((part.beam[:index] == part.beam[index]) & (part.time[:index] > part.time[index]))[-1]
+        raise time_goes_backwards(part, index, part.time[before], f"{part.row_word} {part.row[before]}")
+
+
+def time_goes_backwards(part: Samples, index: int, before: np.datetime64, where: str) -> InputError:
+    """Return the error to raise for a sample earlier than one of its beam above it."""
+    return InputError(
+        f"Time goes backwards in {part.where(index)}: beam {part.beam[index]} at {as_utc(part.time[index])} comes "
+        f"after {as_utc(before)} ({where}); check the time stamps, "
+        "or give out_of_order='sort' (--out-of-order sort) to sort them."
+    )
+
+
+def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | None = None) -> xr.Dataset:
     """Sort the samples of all files into one series, drop repeated ones, and report what was done.
 
     Raises
     ------
     InputError
-        If a file has no sample, files differ in their columns, or times go backwards.
+        If files differ in their columns, or one beam has two velocities at one time.
     """
-    for part in parts:
-        if len(part.time) == 0:
-            raise InputError(
-                f"File {str(part.file)!r} has no sample with a time and a beam "
-                f"({part.counts.get('rows', 0)} rows were read): check the file and the option invalid."
-            )
+    of_files = report or FilesReport()
     status_valid = _one_status(parts)
-    backwards = [_count_backwards(part) for part in parts]
+    backwards = [int(_backwards(part).sum()) for part in parts]
     time = np.concatenate([part.time for part in parts])
     beam = np.concatenate([part.beam for part in parts])
     velocity = np.concatenate([part.radial_velocity for part in parts])
@@ -85,7 +138,7 @@ def join_samples(parts: Sequence[Samples], scan: Scan) -> xr.Dataset:
         if values is not None:
             variables[name] = ("sample", values[order][keep], attributes[name])
     present = np.unique(beam)
-    report = {
+    counted = {
         **{key: sum(part.counts.get(key, 0) for part in parts) for key in parts[0].counts},
         "samples": int(keep.sum()),
         "samples_without_velocity": int(np.isnan(velocity[keep]).sum()),
@@ -101,13 +154,12 @@ def join_samples(parts: Sequence[Samples], scan: Scan) -> xr.Dataset:
                 "format": part.kind,
                 **part.counts,
                 "samples_out_of_order": count,
-                "positive": part.file_format.positive,
-                "velocity_unit": part.file_format.velocity_unit,
-                "time_zone": part.file_format.time_zone,
-                "invalid": list(part.file_format.invalid),
+                **_options_used(part.file_format),
             }
             for part, count in zip(parts, backwards, strict=True)
         ],
+        "files_skipped": [dict(entry) for entry in of_files.skipped],
+        "files_passed_over": dict(of_files.passed_over),
     }
     series = xr.Dataset(
         variables,
@@ -116,7 +168,7 @@ def join_samples(parts: Sequence[Samples], scan: Scan) -> xr.Dataset:
             "scan": scan.name,
             "scan_key": scan.key,
             "source_files": json.dumps([part.file.name for part in parts]),
-            "read_report": json.dumps(report),
+            "read_report": json.dumps(counted),
         },
     )
     if status_valid is not None:
@@ -124,20 +176,23 @@ def join_samples(parts: Sequence[Samples], scan: Scan) -> xr.Dataset:
     return series
 
 
-def _count_backwards(part: Samples) -> int:
-    """Count samples earlier than one of the same beam above them; refuse them unless they may be sorted."""
+def _options_used(file_format: FileFormat) -> dict[str, Any]:
+    return {
+        "positive": file_format.positive,
+        "velocity_unit": file_format.velocity_unit,
+        "time_zone": file_format.time_zone,
+        "invalid": list(file_format.invalid),
+        "time_stamp": file_format.time_stamp,
+        "sample_duration": file_format.sample_duration,
+        "options_of_format": sorted(file_format.from_format),
+    }
+
+
+def _backwards(part: Samples) -> NDArray[np.bool_]:
+    """Say which samples are earlier than one of the same beam above them."""
     time = pd.Series(part.time.astype(np.int64))
     latest = time.groupby(part.beam).cummax()
-    backwards = (time < latest).to_numpy()
-    if part.file_format.out_of_order == "error" and backwards.any():
-        index = int(np.argmax(backwards))
-        before = np.flatnonzero((part.beam[:index] == part.beam[index]) & (part.time[:index] > part.time[index]))[-1]
-        raise InputError(
-            f"Time goes backwards in {part.where(index)}: beam {part.beam[index]} at {_utc(part.time[index])} comes "
-            f"after {_utc(part.time[before])} ({part.row_word} {part.row[before]}); check the time stamps, "
-            "or give out_of_order='sort' (--out-of-order sort) to sort them."
-        )
-    return int(backwards.sum())
+    return (time < latest).to_numpy()
 
 
 def _join_optional(parts: Sequence[Samples], name: str) -> FloatArray | None:
@@ -169,12 +224,13 @@ def _two_values(parts: Sequence[Samples], first: int, second: int) -> InputError
     one, two = (int(np.searchsorted(ends, index, side="right")) for index in (first, second))
     a, b = first - int(starts[one]), second - int(starts[two])
     return InputError(
-        f"Two samples of beam {parts[one].beam[a]} at {_utc(parts[one].time[a])} differ: "
+        f"Two samples of beam {parts[one].beam[a]} at {as_utc(parts[one].time[a])} differ: "
         f"{parts[one].radial_velocity[a]:g} m/s in {parts[one].where(a)} and {parts[two].radial_velocity[b]:g} m/s in "
         f"{parts[two].where(b)}; give time stamps that tell samples apart, "
         "or out_of_order='sort' (--out-of-order sort) to keep the first."
     )
 
 
-def _utc(time: np.datetime64) -> str:
+def as_utc(time: np.datetime64) -> str:
+    """Write a time as ISO 8601 text."""
     return f"{pd.Timestamp(time).isoformat()}Z"

@@ -14,14 +14,14 @@ from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.probe import PointProbe, Probe
+from bayes_rs.geometry.probe import PointProbe, Probe
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.matching import directions_in_words, gates_in_words, nearest_gates
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.registry import READERS
-from bayes_rs.scan import Scan
 
 RAY_READERS = {name: reader for name, reader in READERS.items() if reader.rays is not None}
 """The formats whose rays say where they point."""

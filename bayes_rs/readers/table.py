@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from bayes_rs.errors import InputError
+from bayes_rs.readers.compressed import UNREADABLE, plain_suffix, unreadable
 from bayes_rs.readers.format import FileFormat
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv")
 PARQUET_SUFFIXES = (".parquet", ".pq")
-COMPRESSIONS = (".gz", ".bz2", ".xz", ".zst", ".zip")
+
+_INDEX = re.compile(r"__index_level_\d+__")  # what pandas calls an index without a name
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,8 @@ class Table:
     file: Path
     headings: tuple[str, ...]
     file_format: FileFormat
+    skip: int = 0
+    """Lines above the headings."""
 
     @property
     def is_csv(self) -> bool:
@@ -52,23 +59,31 @@ class Table:
         """Say whether the file has what the options call `name`."""
         return self.file_format.column(name) in self.headings
 
-    def read(self, headings: Sequence[str], *, text: Sequence[str] = ()) -> pd.DataFrame:
-        """Read the columns under `headings`, those in `text` without guessing that they are numbers."""
+    def pieces(
+        self, headings: Sequence[str], *, text: Sequence[str] = (), n_row: int | None = None
+    ) -> Iterator[tuple[pd.DataFrame, int]]:
+        """Read the columns under `headings`, those in `text` without guessing that they are numbers.
+
+        Gives `n_row` rows at a time, or all at once, each with the number of rows before it.
+        """
         for heading in headings:
             if self.headings.count(heading) > 1:
                 raise InputError(
                     f"File {str(self.file)!r} has {self.headings.count(heading)} columns {heading!r}: "
                     "names must be unique; rename all but one."
                 )
-        frame = self._read_csv(text) if self.is_csv else _read_parquet(self.file)
-        if len(frame) == 0:
+        before = 0
+        for frame in self._csv_frames(text, n_row) if self.is_csv else self._parquet_frames(headings, n_row):
+            if len(frame):
+                yield pd.DataFrame(frame[list(headings)]).reset_index(drop=True), before
+            before += len(frame)
+        if before == 0:
             raise InputError(f"File {str(self.file)!r} has headings but no row: give a file with samples.")
-        return pd.DataFrame(frame[list(headings)])
 
-    def column(self, frame: pd.DataFrame, name: str, heading: str) -> Column:
-        """Take one column out of what `read` returned."""
-        row_word, first_row = ("line", 2) if self.is_csv else ("row", 1)
-        return Column(name, heading, frame[heading], self.file, row_word, first_row)
+    def column(self, frame: pd.DataFrame, name: str, heading: str, before: int = 0) -> Column:
+        """Take one column out of what `pieces` gave."""
+        row_word, first_row = ("line", 2 + self.skip) if self.is_csv else ("row", 1)
+        return Column(name, heading, frame[heading], self.file, row_word, first_row + before)
 
     def missing(self, name: str) -> InputError:
         """Return the error to raise where the column for `name` is not there."""
@@ -86,39 +101,62 @@ class Table:
                 return f"{listed} (is it separated by {word}? then give separator={word})"
         return listed
 
-    def _read_csv(self, text: Sequence[str]) -> pd.DataFrame:
+    def _csv_frames(self, text: Sequence[str], n_row: int | None) -> Iterator[pd.DataFrame]:
         width = len(self.headings)
         as_text: dict[Any, Any] = {index: "str" for index in range(width) if self.headings[index] in text}
         try:
-            frame: pd.DataFrame = pd.read_csv(
+            opened = pd.read_csv(
                 self.file,
                 header=None,
                 names=list(range(width)),
-                skiprows=1,
+                skiprows=1 + self.skip,
                 dtype=as_text,
                 low_memory=False,
+                chunksize=n_row,
                 **_csv_options(self.file_format),
             )
+            with nullcontext([opened]) if isinstance(opened, pd.DataFrame) else opened as frames:
+                for frame in frames:
+                    yield self._with_headings(frame)
         except pd.errors.EmptyDataError:
-            return pd.DataFrame({heading: [] for heading in self.headings})
+            return
         except pd.errors.ParserError as error:
             raise InputError(
-                f"File {str(self.file)!r} is not a table: {str(error).strip()}; every line must have as many "
+                f"File {str(self.file)!r} is not a table: {_one_line(error)}; every line must have as many "
                 f"entries as the headings ({width}); check the options separator and decimal."
             ) from error
-        except (OSError, EOFError, zlib.error) as error:
-            raise _unreadable(self.file, error) from error
+        except InputError:
+            raise
+        except UNREADABLE as error:
+            raise unreadable(self.file, error) from error
+
+    def _with_headings(self, frame: pd.DataFrame) -> pd.DataFrame:
         if not isinstance(frame.index, pd.RangeIndex):
             raise InputError(
-                f"File {str(self.file)!r} is not a table: line 2 has more entries than the headings ({width}); "
-                "check the options separator and decimal."
+                f"File {str(self.file)!r} is not a table: line {2 + self.skip} has more entries than the headings "
+                f"({len(self.headings)}); check the options separator and decimal."
             )
         frame.columns = pd.Index(self.headings)
         return frame
 
+    def _parquet_frames(self, headings: Sequence[str], n_row: int | None) -> Iterator[pd.DataFrame]:
+        names = {heading.strip(): heading for heading in _parquet_names(self.file)}
+        wanted = list(dict.fromkeys(names[heading] for heading in headings))
+        try:
+            with pq.ParquetFile(self.file) as parquet:
+                if n_row is None:
+                    parts: Iterable[pa.Table] = [parquet.read(columns=wanted)]
+                else:
+                    parts = (pa.Table.from_batches([batch]) for batch in parquet.iter_batches(n_row, columns=wanted))
+                for part in parts:
+                    frame = part.to_pandas(ignore_metadata=True)
+                    yield frame.rename(columns=lambda heading: str(heading).strip())
+        except (*UNREADABLE, pa.ArrowException) as error:
+            raise unreadable(self.file, error) from error
 
-def open_table(file: Path, file_format: FileFormat) -> Table:
-    """Read the headings of a CSV or Parquet file.
+
+def open_table(file: Path, file_format: FileFormat, *, skip: int = 0) -> Table:
+    """Read the headings of a CSV or Parquet file, which stand below `skip` lines.
 
     Raises
     ------
@@ -126,24 +164,25 @@ def open_table(file: Path, file_format: FileFormat) -> Table:
         If the file is empty, or is not what its suffix says.
     """
     if plain_suffix(file) in PARQUET_SUFFIXES:
-        return Table(file, tuple(str(heading) for heading in _read_parquet(file).columns), file_format)
+        headings = tuple(name.strip() for name in _parquet_names(file) if not _INDEX.fullmatch(name))
+        return Table(file, headings, file_format)
     try:
-        first = pd.read_csv(file, header=None, nrows=1, dtype=str, keep_default_na=False, **_csv_options(file_format))
+        first = pd.read_csv(
+            file,
+            header=None,
+            nrows=1,
+            skiprows=skip,
+            dtype=str,
+            keep_default_na=False,
+            **_csv_options(file_format),
+        )
     except pd.errors.EmptyDataError as error:
         raise InputError(f"File {str(file)!r} is empty: give a file with headings and samples.") from error
     except pd.errors.ParserError as error:
-        raise InputError(f"File {str(file)!r} is not a table: {str(error).strip()}.") from error
-    except (OSError, EOFError, zlib.error) as error:
-        raise _unreadable(file, error) from error
-    return Table(file, tuple(str(heading).strip() for heading in first.iloc[0]), file_format)
-
-
-def plain_suffix(file: Path) -> str:
-    """Return the suffix of a file in lower case, without that of its compression."""
-    suffixes = [suffix.lower() for suffix in file.suffixes]
-    if suffixes and suffixes[-1] in COMPRESSIONS:
-        suffixes.pop()
-    return suffixes[-1] if suffixes else ""
+        raise InputError(f"File {str(file)!r} is not a table: {_one_line(error)}.") from error
+    except UNREADABLE as error:
+        raise unreadable(file, error) from error
+    return Table(file, tuple(str(heading).strip() for heading in first.iloc[0]), file_format, skip)
 
 
 def _csv_options(file_format: FileFormat) -> dict[str, Any]:
@@ -157,16 +196,12 @@ def _csv_options(file_format: FileFormat) -> dict[str, Any]:
     }
 
 
-def _read_parquet(file: Path) -> pd.DataFrame:
+def _parquet_names(file: Path) -> list[str]:
     try:
-        frame = pd.read_parquet(file)
-    except (OSError, ValueError) as error:
-        raise _unreadable(file, error) from error
-    if any(name is not None for name in frame.index.names):
-        frame = frame.reset_index()
-    return frame.rename(columns=lambda heading: str(heading).strip())
+        return [str(name) for name in pq.read_schema(file).names]
+    except (*UNREADABLE, pa.ArrowException) as error:
+        raise unreadable(file, error) from error
 
 
-def _unreadable(file: Path, error: BaseException) -> InputError:
-    reason = str(error).strip().splitlines() or [type(error).__name__]
-    return InputError(f"File {str(file)!r} cannot be read: {reason[0]}; check that it is complete and not damaged.")
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beam_number, numbers, times, unknown_beam
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Table, open_table
-from bayes_rs.scan import Scan
 
 _HEADING = re.compile(r"(?:(vr|beam|cnr|status|quality)_)?(-?\d+)")
 _MEANING = {None: "radial_velocity", "vr": "radial_velocity", "beam": "radial_velocity", "quality": "status"}
@@ -64,6 +66,15 @@ def read_wide(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     InputError
         If there is no column for time or for any beam, or an entry cannot be used.
     """
+    return next(_pieces(file, scan, file_format, None))
+
+
+def wide_pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
+    """Read a wide CSV or Parquet file, `n_row` rows at a time."""
+    return _pieces(file, scan, file_format, n_row)
+
+
+def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) -> Iterator[Samples]:
     table = open_table(file, file_format)
     if not table.has("time"):
         raise table.missing("time")
@@ -77,27 +88,32 @@ def read_wide(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             "its number, vr_<number> or beam_<number>; otherwise say which column is which with the option "
             "beam_numbers={'heading in the file': number}."
         )
-    number = np.array(list(found["radial_velocity"]), dtype=np.int64)
     wanted = [file_format.column("time"), *(heading for part in found.values() for heading in part.values())]
-    frame = table.read(wanted, text=[file_format.column("time")])
-    time_column = table.column(frame, "time", file_format.column("time"))
+    for frame, before in table.pieces(list(dict.fromkeys(wanted)), text=[file_format.column("time")], n_row=n_row):
+        yield _samples(table, found, frame, before)
+
+
+def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.DataFrame, before: int) -> Samples:
+    file_format = table.file_format
+    number = np.array(list(found["radial_velocity"]), dtype=np.int64)
+    time_column = table.column(frame, "time", file_format.column("time"), before)
     time, invalid = times(time_column, file_format)
     value = {}
     for name, headings in found.items():
         block = np.full((len(frame), len(number)), np.nan)
         for index, beam in enumerate(number):
             if int(beam) in headings:
-                column = table.column(frame, name, headings[int(beam)])
+                column = table.column(frame, name, headings[int(beam)], before)
                 block[:, index], invalid_value = numbers(column, file_format)
                 invalid = invalid | invalid_value
         value[name] = block
     keep = ~np.isnat(time)
     n_row = int(keep.sum())
     return Samples(
-        file=file,
+        file=table.file,
         kind="wide",
         file_format=file_format,
-        time=np.repeat(time[keep], len(number)),
+        time=np.repeat(file_format.to_start(time[keep]), len(number)),
         beam=np.tile(number, n_row),
         radial_velocity=file_format.to_away(value["radial_velocity"][keep].ravel()),
         cnr=value["cnr"][keep].ravel() if found["cnr"] else None,

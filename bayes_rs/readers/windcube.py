@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_variables import (
@@ -24,7 +25,6 @@ from bayes_rs.readers.ray_variables import (
 )
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
-from bayes_rs.scan import Scan
 
 NAMES = {
     "radial_velocity": "radial_wind_speed",

@@ -1,0 +1,55 @@
+"""What a reader is: the narrow interface that every format has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.rays import Rays
+from bayes_rs.readers.samples import Samples
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One file format.
+
+    Parameters
+    ----------
+    name : str
+        What `bayes_rs.read_radial_velocity` calls it in ``file_format``.
+    title : str
+        What it is, in a few words.
+    source : str
+        Where its layout is described.
+    suffixes : tuple of str
+        Suffixes of its files, without that of a compression.
+    recognises : callable
+        Says of a file with one of the suffixes whether it has this format; raises InputError only for a file that
+        is of this format and cannot be used.
+    read : callable
+        Reads the whole file.
+    defaults : mapping
+        Options that this format sets where neither the caller nor the scan does.
+    rays : callable, optional
+        Reads the rays of a file whose samples say where they point, as a survey of a scan needs them.
+    pieces : callable, optional
+        Reads the file so many rows at a time; without it a stream takes the file as one piece.
+    own_options : callable, optional
+        Options that the file itself states; None if it states none. They count after the caller's, and the scan's
+        ``[file]`` table is then left aside.
+    """
+
+    name: str
+    title: str
+    source: str
+    suffixes: tuple[str, ...]
+    recognises: Callable[[Path, Scan, FileFormat], bool]
+    read: Callable[[Path, Scan, FileFormat], Samples]
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    rays: Callable[[Path, FileFormat], Rays] | None = None
+    pieces: Callable[[Path, Scan, FileFormat, int], Iterator[Samples]] | None = None
+    own_options: Callable[[Path], Mapping[str, Any] | None] | None = None

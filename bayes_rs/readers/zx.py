@@ -1,0 +1,331 @@
+"""ZX lidars (formerly ZephIR): line-of-sight velocities by a column map, and the statistics of ten minutes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.compressed import UNREADABLE, plain_file, unreadable
+from bayes_rs.readers.entries import numbers, times
+from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.format import FileFormat, resolve_format
+from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.rays import Rays
+from bayes_rs.readers.samples import Samples
+from bayes_rs.readers.table import Table, open_table
+
+SUFFIXES = (".csv", ".txt", ".parquet", ".pq")
+DEFAULTS = {"positive": "towards", "invalid": (9999.0, 9998.0)}
+
+STATISTICS = {
+    "Horizontal Wind Speed (m/s)": ("wind_speed", "m s-1"),
+    "Horizontal Wind Speed Min (m/s)": ("wind_speed_min", "m s-1"),
+    "Horizontal Wind Speed Max (m/s)": ("wind_speed_max", "m s-1"),
+    "Horizontal Wind Speed Std. Dev. (m/s)": ("wind_speed_std", "m s-1"),
+    "Vertical Wind Speed (m/s)": ("vertical_wind_speed", "m s-1"),
+    "Wind Direction (deg)": ("wind_direction", "degree"),
+    "TI": ("turbulence_intensity", "1"),
+    "Packets in Average": ("packets", "1"),
+}
+"""What stands before ``at 98m`` in the headings: our name and unit."""
+SITE = {
+    "Tilt (deg)": ("tilt", "degree"),
+    "ZephIR Bearing (deg)": ("bearing", "degree"),
+    "Air Temp. (C)": ("air_temperature", "degree_Celsius"),
+    "Pressure (mbar)": ("pressure", "hPa"),
+    "Humidity (%)": ("humidity", "percent"),
+    "MET Wind Speed (m/s)": ("met_wind_speed", "m s-1"),
+    "MET Direction (deg)": ("met_wind_direction", "degree"),
+    "Met Wind Speed (m/s)": ("met_wind_speed", "m s-1"),
+    "Met Wind Direction (deg)": ("met_wind_direction", "degree"),
+    "Proportion Of Packets With Rain (%)": ("rain", "percent"),
+}
+
+_CONVERTER = "CSV Converter"
+_AT_HEIGHT = re.compile(r"(.+?) at (\d+(?:[.,]\d+)?)\s*m")
+_ZONE = re.compile(r"Time sync: UTC\s*(?:([+-])\s*(\d{1,2})[.,]?(\d*)\s*hrs)?")
+_TIME_FORMATS = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d/%m/%Y %H:%M")
+_ROUNDING = 1e-6
+
+
+def recognises_zx(file: Path, _scan: Scan, file_format: FileFormat) -> bool:
+    """Say whether the caller mapped a column of phases, or the first line is that of ZX's own converter."""
+    if "phase" in file_format.columns:
+        return True
+    return file.suffix.lower() in {".csv", ".txt"} and _first_line(file).startswith(_CONVERTER)
+
+
+def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
+    """Read line-of-sight velocities, a row each with its phase on the cone.
+
+    Parameters
+    ----------
+    file : Path
+        A CSV or Parquet table; a line of ZX's converter above the headings is skipped.
+    scan : Scan
+        The scan, all of whose beams must lie on one cone.
+    file_format : FileFormat
+        The reader's options; ``columns`` must name ``time``, ``phase`` and ``radial_velocity``.
+
+    Raises
+    ------
+    InputError
+        If a column is not mapped or not there, the beams are not on one cone, or an entry cannot be used.
+
+    Notes
+    -----
+    The manufacturer does not publish the headings of the 50 Hz data, so that there is no preset for them: the column
+    map says them. A phase counts in degrees from ``phase_zero_deg``, an angle θ of the scan (0 is sideways, y; 90 is
+    up), and turns from y to z (``phase_turns="up"``) or the other way. A homodyne lidar measures the magnitude of the
+    velocity: ``positive="towards"``, the default, takes the air to come towards the lidar.
+    """
+    skip = 0
+    if file.suffix.lower() in {".csv", ".txt"} and _first_line(file).startswith(_CONVERTER):
+        skip = 1
+    table = open_table(file, file_format, skip=skip)
+    if any(_AT_HEIGHT.fullmatch(heading) for heading in table.headings):
+        raise InputError(
+            f"File {str(file)!r} holds ZX's statistics of averaging periods, not line-of-sight velocities: read it "
+            "with read_statistics; variances of beams need the 50 Hz data."
+        )
+    for name in ("time", "phase", "radial_velocity", "cnr", "status"):
+        needed = name in ("time", "phase", "radial_velocity") or name in file_format.required
+        if needed and not table.has(name):
+            raise table.missing(name)
+    samples = [name for name in ("time", "phase", "radial_velocity", "cnr", "status") if table.has(name)]
+    heading = {name: file_format.column(name) for name in samples}
+    (frame, _), *_rest = table.pieces(list(dict.fromkeys(heading.values())), text=[heading["time"]])
+    column = {name: table.column(frame, name, heading[name]) for name in samples}
+    time, invalid = times(column["time"], file_format)
+    value = {}
+    for name in samples:
+        if name != "time":
+            value[name], is_invalid = numbers(column[name], file_format)
+            invalid = invalid | is_invalid
+    turn = 1.0 if file_format.phase_turns == "up" else -1.0
+    phase = np.deg2rad(file_format.phase_zero_deg + turn * value["phase"])
+    rays = Rays(
+        file=file,
+        kind="zx",
+        file_format=file_format,
+        time=file_format.to_start(time),
+        direction=_on_the_cone(phase, scan),
+        distance=np.full((len(time), 1), scan.focus_distance[0]),
+        radial_velocity=file_format.to_away(value["radial_velocity"])[:, np.newaxis],
+        cnr=value["cnr"][:, np.newaxis] if "cnr" in value else None,
+        status=value["status"][:, np.newaxis] if "status" in value else None,
+        row=column["time"].first_row + np.arange(len(time), dtype=np.int64),
+        row_word=column["time"].row_word,
+        counts={
+            "rows": len(time),
+            "rows_invalid_value": int(invalid.sum()),
+            "rows_dropped": 0,
+            "rows_without_time": 0,
+            "rows_without_beam": 0,
+        },
+    )
+    return match_rays(rays, scan, angle_tolerance_deg=file_format.angle_tolerance_deg)
+
+
+def read_statistics(
+    files: str | Path | Sequence[str | Path],
+    *,
+    time_zone: str | None = None,
+    time_format: str | None = None,
+    invalid: float | Sequence[float] = (9999.0, 9998.0),
+) -> xr.Dataset:
+    """Read the wind statistics of ten minutes that a ZX lidar computes itself.
+
+    They hold no radial velocities, so that no stresses follow from them: they are to compare results with.
+
+    Parameters
+    ----------
+    files : str, Path or sequence of them
+        ``Wind10_…csv`` files of ZX's converter, also folders, patterns and compressed files.
+    time_zone : str, optional
+        Zone of the times; that of the file's first line if not given.
+    time_format : str, optional
+        Pattern of the times such as ``%d.%m.%Y %H:%M:%S``; found in the file if not given.
+    invalid : float or sequence of float
+        Numbers that mark a missing entry.
+
+    Returns
+    -------
+    statistics : xarray.Dataset
+        ``wind_speed``, ``wind_speed_min``, ``wind_speed_max``, ``wind_speed_std``, ``vertical_wind_speed``, m/s,
+        ``wind_direction``, degrees, ``turbulence_intensity`` and ``packets`` over (time, height), and ``tilt``,
+        ``bearing``, ``air_temperature``, ``pressure``, ``humidity``, ``met_wind_speed``, ``met_wind_direction`` and
+        ``rain`` over (time), those that the files have. ``time`` is the start of the averaging period, UTC; ``height``
+        in m as in the headings. ``attrs["time_stamp"]`` says what the file stamps, ``attrs["left_out"]`` which columns
+        were not read.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, its headings are not ZX's, a time cannot be read, or the file stamps the end of the
+        period.
+
+    Notes
+    -----
+    Separators follow from the headings: semicolons go with decimal commas, commas with points. The turbulence
+    intensity is the lidar's own; in a file at hand it is 1.09 times the standard deviation over the mean.
+
+    References
+    ----------
+    Headings, first line and 9999: a file of unit 317 in the samples of Lidaco (github.com/e-WindLidar/Lidaco,
+    samples/Kassel_Experiment/data/WP4/10min).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> first = "CSV Converter: v1,114;Unit: 317;Time sync: UTC +1,0 hrs"
+    >>> headings = "Reference;Time and Date;Horizontal Wind Speed (m/s) at 98m;TI at 98m"
+    >>> row = "1;13.12.2016 00:10:00;5,464;0,1482"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "Wind10_317.csv"
+    ...     _ = file.write_text(chr(10).join([first, headings, row]))
+    ...     statistics = read_statistics(file)
+    >>> statistics["wind_speed"].item(), str(statistics["time"].values[0])[:16]
+    (5.464, '2016-12-12T23:10')
+    """
+    found = find_files(files, (".csv", ".txt"))
+    parts = []
+    for file in found.paths:
+        with plain_file(file) as plain:
+            try:
+                parts.append(_statistics(plain, time_zone, time_format, invalid))
+            except InputError as error:
+                raise InputError(str(error).replace(repr(str(plain)), repr(str(file)))) from error
+    joined = parts[0] if len(parts) == 1 else xr.concat(parts, "time", join="outer", combine_attrs="drop_conflicts")
+    return joined.sortby("time").drop_duplicates("time")
+
+
+def _statistics(
+    file: Path, time_zone: str | None, time_format: str | None, invalid: float | Sequence[float]
+) -> xr.Dataset:
+    first = _first_line(file)
+    skip = 1 if first.startswith(_CONVERTER) else 0
+    if "Time stamps indicate the end" in first:
+        raise InputError(
+            f"File {str(file)!r} says that its time stamps indicate the end of the averaging period: this reader takes "
+            "the start; convert the file again."
+        )
+    headings = _line(file, skip)
+    with_semicolon = headings.count(";") > headings.count(",")
+    options = {
+        "separator": ";" if with_semicolon else ",",
+        "decimal": "," if with_semicolon else ".",
+        "invalid": invalid,
+        "time_zone": time_zone or _zone(first),
+        "columns": {"time": "Time and Date"},
+        "time_format": time_format,
+    }
+    file_format = resolve_format(options, None)
+    table = open_table(file, file_format, skip=skip)
+    if not table.has("time"):
+        raise table.missing("time")
+    height, known, left_out = _headings(table)
+    if not height:
+        raise InputError(
+            f"File {str(file)!r} has no column such as 'Horizontal Wind Speed (m/s) at 98m': {table.found()}; check "
+            "that it is a Wind10 file of ZX's converter."
+        )
+    wanted = ["Time and Date", *known]
+    (frame, _), *_rest = table.pieces(wanted, text=["Time and Date"])
+    column = table.column(frame, "time", "Time and Date")
+    if time_format is None:
+        options["time_format"] = _time_format(column.values)
+        file_format = resolve_format(options, None)
+    time, _ = times(column, file_format)
+    heights = np.array(sorted(height), dtype=np.float64)
+    variables: dict[str, Any] = {}
+    for heading, (name, unit, at) in known.items():
+        values, _ = numbers(table.column(frame, name, heading), file_format)
+        if at is None:
+            variables[name] = ("time", values, {"units": unit})
+        else:
+            block = variables.setdefault(name, (("time", "height"), _empty(len(values), len(heights)), {"units": unit}))
+            block[1][:, int(np.flatnonzero(heights == at)[0])] = values
+    keep = ~np.isnat(time)
+    return xr.Dataset(
+        variables, coords={"time": time, "height": ("height", heights, {"units": "m"})}, attrs=_attributes(left_out)
+    ).isel(time=np.flatnonzero(keep))
+
+
+def _attributes(left_out: list[str]) -> dict[str, Any]:
+    return {"time_stamp": "start of the averaging period, UTC", "left_out": left_out}
+
+
+def _empty(n_time: int, n_height: int) -> FloatArray:
+    return np.full((n_time, n_height), np.nan)
+
+
+def _headings(table: Table) -> tuple[set[float], dict[str, tuple[str, str, float | None]], list[str]]:
+    """Return the heights, what each known heading means, and the headings that mean nothing to us."""
+    known: dict[str, tuple[str, str, float | None]] = {}
+    left_out = []
+    for heading in table.headings:
+        match = _AT_HEIGHT.fullmatch(heading)
+        if match is not None and match[1] in STATISTICS:
+            known[heading] = (*STATISTICS[match[1]], float(match[2].replace(",", ".")))
+        elif heading in SITE:
+            known[heading] = (*SITE[heading], None)
+        elif heading != "Time and Date":
+            left_out.append(heading[:60])
+    return {at for _, _, at in known.values() if at is not None}, known, left_out
+
+
+def _zone(first: str) -> str:
+    match = _ZONE.search(first)
+    if match is None or match[1] is None:
+        return "UTC"
+    minutes = round(60.0 * float(f"0.{match[3] or '0'}"))
+    return f"UTC{match[1]}{int(match[2]):02d}:{minutes:02d}"
+
+
+def _time_format(values: pd.Series[Any]) -> str | None:
+    text = values.astype("string").str.strip()
+    text = text[text.notna() & (text != "")]
+    for pattern in _TIME_FORMATS:
+        if len(text) and bool(pd.to_datetime(text, format=pattern, errors="coerce").notna().all()):
+            return pattern
+    return None
+
+
+def _first_line(file: Path) -> str:
+    return _line(file, 0)
+
+
+def _line(file: Path, before: int) -> str:
+    try:
+        with file.open("rb") as opened:
+            for _ in range(before):
+                opened.readline()
+            return opened.readline(65536).decode("utf-8", errors="replace").strip("\ufeff \r\n")
+    except UNREADABLE as error:
+        raise unreadable(file, error) from error
+
+
+def _on_the_cone(phase: FloatArray, scan: Scan) -> FloatArray:
+    """Return the directions at angles θ, rad, on the cone that all beams of the scan lie on."""
+    sideways, upwards = np.cos(phase), np.sin(phase)
+    for axis, sign in ((0, -1.0), (2, 1.0)):
+        along = sign * scan.beam_direction[:, axis]
+        if np.ptp(along) <= _ROUNDING and along[0] < 1.0:
+            across = np.sqrt(1.0 - along[0] ** 2)
+            constant = np.full_like(phase, sign * along[0])
+            around = [across * sideways, across * upwards]
+            return np.stack([constant, *around] if axis == 0 else [*around, constant], axis=-1)
+    raise InputError(
+        f"The beams of scan {scan.name!r} do not lie on one cone about its axis or the vertical: files with a phase "
+        "need such a scan; give zx-tm or zx-300, or a scan like them."
+    )
