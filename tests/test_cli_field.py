@@ -92,6 +92,30 @@ class TestRecords:
 
 
 class TestFit:
+    def test_excluded_records_are_no_failures(self, file, tmp_path):
+        rules = ("--min-wind-speed", 50, "--exclude", "low_wind")
+        done = run("fit", file, *ANGLE, *rules, "--sampler", "direct", "-o", tmp_path / "out")
+        assert done.exit_code == 0, done.output
+        assert "0 of 3 records fitted" in done.output
+        table = pd.read_csv(tmp_path / "out" / "summary.csv")
+        assert table["mean"].isna().all()
+        assert set(table["flag"]) == {"low_wind;excluded"}
+
+    def test_a_folder_is_fitted_file_by_file(self, file, tmp_path):
+        (tmp_path / "raw").mkdir()
+        (tmp_path / "raw" / "day.csv").write_bytes(file.read_bytes())
+        (tmp_path / "raw" / "junk.csv").write_text("no table")
+        done = run("fit", tmp_path / "raw", *ANGLE, "--sampler", "auto", "--draws", "none", "-o", tmp_path / "out")
+        assert done.exit_code == 1  # the file that cannot be used is a failure, and stops nothing
+        assert "junk.csv" in done.output
+        assert "3 of 3 records fitted" in done.output
+        whole = run("fit", file, *ANGLE, "--sampler", "auto", "-o", tmp_path / "whole")
+        assert whole.exit_code == 0
+        one, other = (pd.read_csv(tmp_path / name / "summary.csv") for name in ("out", "whole"))
+        pd.testing.assert_frame_equal(one.drop(columns=["time"]), other.drop(columns=["time"]), rtol=1e-12)
+        assert run("report", tmp_path / "out").exit_code == 0
+        assert (tmp_path / "out" / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+
     def test_gradients_reach_the_posterior(self, file, tmp_path):
         done = run(
             "fit",

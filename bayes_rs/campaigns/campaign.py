@@ -36,15 +36,13 @@ from bayes_rs.posteriors.sonic import ESS_MARGIN
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.results.fitting import batch_size, can_be_fitted, fit_options, flags_after, flags_before, prepare
-from bayes_rs.results.result import FLAGS, N_PRIOR_DRAW, PRIOR_SEED, noise_summary
+from bayes_rs.results.result import FLAGS, N_PRIOR_DRAW, PRIOR_SEED, UNFITTED, noise_summary
 from bayes_rs.results.summarizing import PriorOutline, check_summary_options, summarize_draws, summary_frame
 
 DRAWS = ("none", "float32", "float64", "zarr")
 """What is kept of the draws."""
 MONTH = "month="
 """Begins the name of a folder with the records of one month, as Hive has it."""
-UNFITTED = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"]
-"""Flags of records without a posterior."""
 _NUMBERS_FROM = ("numpy", "scipy", "emcee")
 """Packages whose version can change a number."""
 _FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)

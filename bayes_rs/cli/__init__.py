@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import click
@@ -21,6 +22,8 @@ def main() -> None:
     """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
     from bayes_rs.errors import InputError, MissingExtraError, WorkerError
 
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
     try:
         code = commands.main(prog_name="bayes-rs", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -34,10 +37,16 @@ def main() -> None:
         _echo_notes(error.__cause__ or error.__context__)
         code = 130
     except (InputError, MissingExtraError, WorkerError, OSError) as error:
-        click.echo(f"bayes-rs: {error}", err=True)
+        click.echo(f"bayes-rs: {_one_line(error)}", err=True)
         _echo_notes(error)
         code = EXIT_BAD_INPUT
     sys.exit(code)
+
+
+def _one_line(error: BaseException) -> str:
+    """Return what an error says without line breaks and control characters, which names and libraries bring along."""
+    words = " ".join(str(error).split())
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in words)
 
 
 def _echo_notes(error: BaseException | None) -> None:

@@ -57,11 +57,11 @@ def scans() -> None:
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
     """Make records, one variance a beam and averaging period, from files of radial velocities."""
-    from bayes_rs.output import output_file
+    from bayes_rs.output import output_file, write_netcdf
 
     with output_file(output, overwrite=overwrite) as part:
         made, _ = read_or_make_records(files, options)
-        made.to_netcdf(part, engine="h5netcdf")
+        write_netcdf(made, part)
     click.echo(f"{made.sizes['record']} records in {output}")
 
 

@@ -241,7 +241,7 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
     from contextlib import nullcontext
 
     from bayes_rs.jobs.sensitivity_job import run_sensitivity, sensitivity_lines
-    from bayes_rs.output import output_file
+    from bayes_rs.output import output_file, write_csv
 
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
         made, scan = read_or_make_records(files, options)
@@ -253,7 +253,7 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
             say=lambda line: click.echo(line, err=True),
         )
         if part is not None:
-            table.to_csv(part, index=False)
+            write_csv(table, part, index=False)
     click.echo(
         f"Widths of {100.0 * options['prob']:g} % intervals, m² s⁻², medians over the fitted of "
         f"{made.sizes['record']} records. With the prior's width times a factor:"

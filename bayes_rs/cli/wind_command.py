@@ -34,7 +34,7 @@ def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any)
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
-    from bayes_rs.output import output_file
+    from bayes_rs.output import output_file, write_csv
     from bayes_rs.turbulence.mann import load_turbulence
     from bayes_rs.wind.mean_vector import mean_wind
     from bayes_rs.wind.profile import wind_profile
@@ -52,7 +52,7 @@ def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any)
             for name in profile.data_vars:
                 if profile[name].dims == ("record",):
                     table[f"profile_{name}"] = profile[name].values
-        table.to_csv(part, index_label="record", date_format="%Y-%m-%dT%H:%M:%S")
+        write_csv(table, part, index_label="record", date_format="%Y-%m-%dT%H:%M:%S")
     middle = table[["wind_speed_sd", "yaw_sd"]].median()
     click.echo(
         f"{len(table)} records; median standard deviation of the wind speed {middle['wind_speed_sd']:.2f} m/s, of its "

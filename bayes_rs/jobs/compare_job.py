@@ -11,7 +11,7 @@ import pandas as pd
 from bayes_rs._version import __version__
 from bayes_rs.design.comparing import compare
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.output import check_output_folder, output_folder, write_run
+from bayes_rs.output import check_output_folder, output_folder, write_csv, write_run
 from bayes_rs.turbulence.mann import load_turbulence
 
 
@@ -74,7 +74,7 @@ def run_compare(
         "seed": seed,
     }
     with output_folder(output, overwrite=overwrite) as folder:
-        table.to_csv(folder / "comparison.csv", index=False)
+        write_csv(table, folder / "comparison.csv", index=False)
         rows = json.loads(table.to_json(orient="records"))
         (folder / "comparison.json").write_text(
             json.dumps({"bayes_rs": __version__, "scene": scene, "rows": rows}, indent=1, ensure_ascii=False) + "\n",

@@ -21,12 +21,14 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.model import NoiseBank, NoiseModel
 from bayes_rs.noise.reading import load_noise
-from bayes_rs.output import output_folder, write_run
+from bayes_rs.output import output_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.readers.compressed import UNREADABLE
+from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.results.direction_table import direction_words, directions
 from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import FLAGS, check_result, flag_words, group
+from bayes_rs.results.result import FLAGS, UNFITTED, check_result, flag_words, group
 from bayes_rs.results.summarizing import check_summary_options, summary
 
 POSTERIOR_FILE = "posterior.nc"
@@ -159,13 +161,13 @@ def run_fit(
             instrument_noise=instrument_noise,
         )
         clock.append(time.perf_counter())
-        result.to_netcdf(folder / POSTERIOR_FILE, engine="h5netcdf")
-        records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+        write_netcdf(result, folder / POSTERIOR_FILE)
+        write_netcdf(records, folder / "records.nc")
         table = summary(result, prob=prob, derived=derived)
-        table.to_csv(folder / "summary.csv", index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        write_csv(table, folder / "summary.csv", index=False, date_format="%Y-%m-%dT%H:%M:%S")
         clock.append(time.perf_counter())
         flags = group(result, "sample_stats")["flag"].values
-        fitted = np.flatnonzero((flags & (FLAGS["no_usable_beam"] | FLAGS["no_wind"])) == 0)
+        fitted = np.flatnonzero((flags & UNFITTED) == 0)
         plot_stresses(result, prob=prob).savefig(folder / "stresses.png", dpi=130)
         if len(fitted):
             plot_corner(result, int(fitted[0])).savefig(folder / "corner.png", dpi=130)  # type: ignore[attr-defined]
@@ -237,10 +239,13 @@ def open_result(folder: str | Path) -> xr.DataTree:
             f"No result in {str(folder)!r}: it has no {POSTERIOR_FILE}; give the output folder of bayes-rs fit."
         )
     try:
+        check_netcdf(path)
         tree = xr.open_datatree(path, engine="h5netcdf")
         loaded = tree.load()
         tree.close()
-    except (OSError, ValueError, KeyError) as error:
+    except InputError:
+        raise
+    except UNREADABLE as error:
         raise InputError(f"File {str(path)!r} cannot be read as a result: {error}; run the fit again.") from error
     return check_result(loaded)
 
@@ -257,8 +262,9 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     if file.suffix not in (".nc", ".nc4") or not file.is_file():
         return None
     try:
+        check_netcdf(file)
         dataset = xr.load_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError):
+    except UNREADABLE:
         return None  # the reader of radial velocities says what is wrong with it
     if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
         return None

@@ -32,7 +32,7 @@ from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.jobs.fit_job import FAILURES, describe, noise_of_job, versions
 from bayes_rs.noise.reading import load_noise
-from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_run
+from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import make_prior
 from bayes_rs.records.report import describe_report
@@ -368,10 +368,10 @@ def _finish(
         say(f"{campaign.n_resumed} of {campaign.n_record} records were finished by an earlier run")
     table = campaign.summary()
     with output_file(campaign.folder / "records.nc", overwrite=True) as file:
-        records.to_netcdf(file, engine="h5netcdf")
+        write_netcdf(records, file)
     if campaign.n_record <= MOST_CSV:
         with output_file(campaign.folder / "summary.csv", overwrite=True) as file:
-            table.to_csv(file, index=False, date_format="%Y-%m-%dT%H:%M:%S")
+            write_csv(table, file, index=False, date_format="%Y-%m-%dT%H:%M:%S")
     bad = dict(bad_files or {})
     report = json.loads(records.attrs.get("records_report", "{}"))
     late = {name: report[name] for name in ("samples_late", "first_late") if name in report}

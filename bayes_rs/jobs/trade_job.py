@@ -12,7 +12,7 @@ from bayes_rs.design.trading import ENOUGH, trade_off
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.output import check_output_folder, output_folder, write_run
+from bayes_rs.output import check_output_folder, output_folder, write_csv, write_run
 from bayes_rs.priors.registry import make_prior
 from bayes_rs.turbulence.mann import load_turbulence
 
@@ -124,7 +124,7 @@ def run_trade_off(
     grid = table(n_beams, (True, False) if centre else False, opening_angle_deg, focus_distance, duration)
     with output_folder(output, overwrite=overwrite) as folder:
         for name, part in (("grid", grid), ("beams", beams), ("durations", lengths)):
-            part.to_csv(folder / f"{name}.csv", index=False)
+            write_csv(part, folder / f"{name}.csv", index=False)
         plot_trade_off(grid, beams=beams, durations=lengths).savefig(folder / "trade-off.png", dpi=130)
         write_run(
             folder,

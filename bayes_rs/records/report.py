@@ -42,7 +42,11 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
     lines = []
     for file in report["files"]:
         line = f"{file['name']}: {file['rows']} rows ({file['format']})"
-        line += f", positive {file['positive']}, {file['velocity_unit']}"
+        line += f", positive {file['positive']}, {file['velocity_unit']}, {file['time_zone']}"
+        if file.get("time_stamp"):
+            line += f", times at the {file['time_stamp']} of a sample"
+        if file.get("options_of_format"):
+            line += f" (by the format: {', '.join(file['options_of_format'])})"
         for key, words in (
             ("rows_invalid_value", "with an invalid value"),
             ("rows_dropped", "dropped without a time or a beam"),
@@ -50,6 +54,11 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         ):
             line += f"; {file[key]} {words}" if file[key] else ""
         lines.append(line)
+    lines += [f"skipped {file['name']}: {file['reason']}" for file in report.get("files_skipped", [])]
+    passed = [
+        f"{number} {kind.replace('_', ' ')}" for kind, number in report.get("files_passed_over", {}).items() if number
+    ]
+    lines += [f"passed over in folders: {', '.join(passed)}"] if passed else []
     absent = f"; absent: {_listed(report['beams_absent'])}" if report["beams_absent"] else ""
     lines.append(f"beams in the files: {_listed(report['beams_present'])}{absent}")
     line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"

@@ -331,7 +331,7 @@ def _draws_of_tables(parts: list[Path], record: NDArray[np.int64], n: int) -> Fl
 
 
 def _draws_of_store(store: Path, record: NDArray[np.int64], n: int) -> FloatArray:
-    group = check_zarr().open_group(store, mode="r")
+    group = check_zarr().open_group(store, mode="r", zarr_format=3)
     n_draw = group[STRESSES[0]].shape[1]
     some = _evenly(n_draw, n)
     return np.stack([np.asarray(group[name][:], dtype=np.float64)[record][:, some] for name in STRESSES], axis=-1)

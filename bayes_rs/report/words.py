@@ -20,6 +20,7 @@ FLAG_MEANINGS = {
     "contradicts_model": "a beam is far from what the posterior predicts for it",
     "not_stationary": "the record has a trend, or its parts differ",
     "low_wind": "the mean wind is below the limit of the record checks",
+    "excluded": "taken out by a rule of quality; not fitted",
     "likelihood_failed": "the likelihood could not be calculated; not fitted",
 }
 """What each flag of a result means, in short; docs/diagnostics.md says what to do."""

@@ -306,7 +306,9 @@ def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
 def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what the records themselves say, as one bit mask for each; the bits are in `FLAGS`."""
     flag = np.zeros(len(usable), dtype=np.int64)
-    flag[~usable.any(axis=1)] |= FLAGS["no_usable_beam"]
+    excluded = ~usable.any(axis=1) & _is_excluded(records)
+    flag[excluded] |= FLAGS["excluded"]
+    flag[~usable.any(axis=1) & ~excluded] |= FLAGS["no_usable_beam"]
     flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
     unfitted = np.setdiff1d(np.flatnonzero(usable.any(axis=1)), fitted)
     flag[unfitted] |= FLAGS["no_wind"]
@@ -317,6 +319,15 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
             if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
     return flag
+
+
+def _is_excluded(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Say which records the rules of quality took out."""
+    if "flag" not in records:
+        return np.zeros(records.sizes["record"], dtype=np.bool_)
+    meanings = str(records["flag"].attrs.get("flag_meanings", "")).split()
+    masks = dict(zip(meanings, np.atleast_1d(records["flag"].attrs.get("flag_masks", [])).tolist(), strict=True))
+    return np.asarray(((records["flag"].values & masks.get("record_excluded", 0)) != 0).any(axis=1))
 
 
 def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:

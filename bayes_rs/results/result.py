@@ -32,8 +32,12 @@ FLAGS: dict[str, int] = {
     "not_stationary": 256,
     "low_wind": 512,
     "likelihood_failed": 1024,
+    "excluded": 2048,
 }
-"""Bits of a record's flag in the result; the first two mean that the record was not fitted."""
+"""Bits of a record's flag in the result."""
+
+UNFITTED = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"] | FLAGS["excluded"]
+"""Flags of a record that was not fitted."""
 
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a result, for its outline in figures and for contraction."""
