@@ -114,7 +114,7 @@ class TestFit:
         one, other = (pd.read_csv(tmp_path / name / "summary.csv") for name in ("out", "whole"))
         pd.testing.assert_frame_equal(one.drop(columns=["time"]), other.drop(columns=["time"]), rtol=1e-12)
         assert run("report", tmp_path / "out").exit_code == 0
-        assert (tmp_path / "out" / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+        assert (tmp_path / "out" / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
     def test_gradients_reach_the_posterior(self, file, tmp_path):
         done = run(
