@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import NotPositiveDefiniteError, WeakPrior, campaign, load_scan
+from bayes_rs import NotPositiveDefiniteError, WeakPrior, load_scan
+from bayes_rs.campaigns import campaign
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_rs import MannTurbulence, calibrate, load_scan, record_store, simulate
+from bayes_rs import MannTurbulence, calibrate, load_scan, simulate
+from bayes_rs.campaigns import record_store
 from bayes_rs.jobs.long_job import run_folder_fit
 
 SCAN = load_scan("2-beam")

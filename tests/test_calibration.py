@@ -10,9 +10,9 @@ import pytest
 import xarray as xr
 from noise_checks import check_noise
 
+from bayes_rs.calibration import store as noise_store
 from bayes_rs.calibration.box_noise import noise_from_boxes
 from bayes_rs.calibration.calibrating import METHODS, calibrate, noise_key
-from bayes_rs.calibration.calibrating import store as noise_store
 from bayes_rs.calibration.choice import noise_for_records
 from bayes_rs.calibration.store import cache_folder, find_shipped_noise
 from bayes_rs.errors import InputError, MissingExtraError

@@ -26,7 +26,6 @@ from bayes_rs import (
     MissingExtraError,
     NoiseBank,
     Nuisances,
-    campaign,
     fit,
     fit_campaign,
     load_scan,
@@ -34,6 +33,7 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
+from bayes_rs.campaigns import campaign
 from bayes_rs.results.result import FLAGS, group
 
 pytestmark = pytest.mark.slow

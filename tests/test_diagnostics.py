@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bayes_rs import InputError, diagnostics
+from bayes_rs import InputError
+from bayes_rs.posteriors import diagnostics
 
 
 def autoregressive(rho, shape, seed):

@@ -14,15 +14,8 @@ import pytest
 import xarray as xr
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
 
-from bayes_rs import (
-    InputError,
-    MissingExtraError,
-    campaign,
-    make_records,
-    read_radial_velocity,
-    read_summary,
-    record_store,
-)
+from bayes_rs import InputError, MissingExtraError, make_records, read_radial_velocity, read_summary
+from bayes_rs.campaigns import campaign, record_store
 from bayes_rs.campaigns.record_store import store_records
 from bayes_rs.campaigns.workers import connect
 from bayes_rs.jobs.long_job import run_long_fit

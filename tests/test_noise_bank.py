@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_rs.calibration import bank as noise_bank
 from bayes_rs.calibration.bank import measure_interpolation, theory_bank
 from bayes_rs.calibration.calibrating import METHODS
-from bayes_rs.calibration.calibrating import bank as noise_bank
 from bayes_rs.calibration.choice import noise_for_records
 from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError

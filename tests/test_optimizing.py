@@ -582,7 +582,7 @@ class TestCommand:
         )
         assert said == summary_lines(best)
         text = "\n".join(said)
-        assert "in each turbulence: fu-2022" in text
+        assert "in each state: fu-2022" in text
         assert "90 % widths over uu: uu" in text
         assert "exact ones" in text
         left, right = plot_optimum(best).axes
