@@ -9,12 +9,20 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_rs.errors import InputError
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
 RUN_FILE = "run.json"
 """Every output folder of ours holds it: a folder without it is never replaced."""
+_STEM = 40
+"""Characters of a name in the temporary names beside it, which thus stay short enough for any file system."""
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a text begins with that a spreadsheet takes for a formula."""
 
 
 @contextmanager
@@ -42,7 +50,7 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     try:
         _check_free(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name}.partial-"))
+        part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.partial-"))
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     try:
@@ -62,9 +70,18 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
 def _take_place(part: Path, final: Path) -> None:
     try:
         part.chmod(0o777 & ~_umask())
-        if final.exists():
-            shutil.rmtree(final)
-        part.replace(final)
+        if not final.exists():
+            part.replace(final)
+            return
+        # two renamings, and then the removal: a run that is killed meanwhile leaves both folders whole
+        aside = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.replaced-"))
+        final.replace(aside)
+        try:
+            part.replace(final)
+        except OSError:
+            aside.replace(final)
+            raise
+        shutil.rmtree(aside)
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give another name") from error
 
@@ -82,7 +99,7 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     try:
         _check_no_file(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
-        folder = tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-")
+        folder = tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name[:_STEM]}-")
     except OSError as error:
         raise _cannot_write("", final, error, "give a place that can be written") from error
     with folder as name:
@@ -138,7 +155,7 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
             )
         _check_free(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name}-") as name:
+        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name[:_STEM]}-") as name:
             part = (
                 Path(name) / "run"
             )  # the folder never exists without its key: it could neither be resumed nor replaced
@@ -163,8 +180,60 @@ def _run_key(folder: Path) -> str | None:
 def write_run(folder: Path, content: dict[str, Any]) -> None:
     """Write `run.json`: what was run, with which versions and seed."""
     part = folder / f".{RUN_FILE}.{os.getpid()}"
-    part.write_text(json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
-    part.replace(folder / RUN_FILE)
+    try:
+        part.write_text(json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+        part.replace(folder / RUN_FILE)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_netcdf(data: xr.Dataset | xr.DataTree, file: Path, **options: Any) -> None:
+    """Write a Dataset or a tree of them as NetCDF-4.
+
+    Parameters
+    ----------
+    data : Dataset or DataTree
+        What to write.
+    file : Path
+        The file, which is replaced.
+    **options
+        Those of its `to_netcdf`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written, as on a full disk.
+
+    Notes
+    -----
+    The file is made in memory first, and so takes its own size in memory: where the HDF5 library itself meets a full
+    disk, it cannot close its file and takes the whole process down with it.
+    """
+    file.write_bytes(data.to_netcdf(engine="h5netcdf", **options))
+
+
+def write_csv(table: pd.DataFrame, file: Path, **options: Any) -> None:
+    """Write a table as CSV in which no text is a formula.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What to write. A text that begins with ``=``, ``+``, ``-``, ``@``, a tab or a carriage return gets a ``'``
+        before it, since spreadsheets run such a text; numbers are written as they are.
+    file : Path
+        The file, which is replaced.
+    **options
+        Those of `DataFrame.to_csv`.
+    """
+    texts = [name for name in table.columns if table[name].dtype.kind not in "biufcmM"]
+    table.assign(**{name: table[name].map(_plain_cell) for name in texts}).to_csv(file, **options)
+
+
+def _plain_cell(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = value.replace("\r", " ")  # which the csv module does not quote: the row would end there
+    return f"'{text}" if value.startswith(_FORMULA) else text
 
 
 def _check_no_file(final: Path, *, overwrite: bool) -> None:

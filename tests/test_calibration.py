@@ -323,7 +323,8 @@ class TestCache:
         with caplog.at_level(logging.WARNING):
             second = self.make(tmp_path)
         assert "is damaged and is calculated again" in caplog.text
-        assert second.details["cache"].startswith("calculated again, because the cached file was damaged: File ")
+        words = "calculated again, because the cached file was damaged: it is not whole"
+        assert second.details["cache"].startswith(words)
         np.testing.assert_array_equal(second.covariance, first.covariance)
         assert load_noise(file).models[0].to_dataset().identical(first.to_dataset())  # and the file is whole again
 

@@ -452,7 +452,7 @@ class TestFiles:
     def test_words_with_quotes_and_lines(self, tmp_path):
         scan = replace(
             brs.load_scan("staring"),
-            title='a "b" \\ c\nd\té\x7f',
+            title='a "b" \\ c\nd\té',
             file_format={"columns": {"a b": "c=1"}, "beam_numbers": {}},
         )
         back = brs.load_scan(brs.save_scan(scan, tmp_path / "x.toml"))

@@ -125,7 +125,7 @@ def theory_bank(
     some = scan.select(scan.beam[np.unique(np.linspace(0, scan.n_beam - 1, count).round().astype(int))])
     key = _key(scan, turbulence, ranges, duration, tolerance, count, sonic)
     file = cache_folder(cache) / f"{key}.nc" if cache is not False else None
-    if file is not None and file.is_file():
+    if file is not None:
         found, _ = from_cache(file, key)
         if found is not None:
             kept = renamed(found, scan, turbulence)

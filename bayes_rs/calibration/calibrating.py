@@ -182,7 +182,7 @@ def noise_at_states(
         return make()
     key = noise_key(states, turbulence, method=method, n_boxes=n_boxes, seed=seed, sonic=sonic)
     file = cache_folder(cache) / f"{key}.nc"
-    found, damage = from_cache(file, key) if file.is_file() else (None, None)
+    found, damage = from_cache(file, key)
     if found is not None:
         found = renamed(found, states[0].scan, turbulence)
         return list(found.models) if isinstance(found, NoiseBank) else [found]

@@ -12,6 +12,7 @@ from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.models import models_folder
+from bayes_rs.noise.file import is_sealed
 from bayes_rs.noise.model import NoiseBank, NoiseModel
 from bayes_rs.noise.reading import load_noise
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -124,13 +125,17 @@ def from_cache(file: Path, key: str) -> tuple[NoiseModel | NoiseBank | None, str
     Returns
     -------
     noise : NoiseModel, NoiseBank or None
-        None if it is damaged or belongs to another key.
+        None if it is not there, damaged, of an older version, or belongs to another key.
     damage : str or None
-        What is wrong with it.
+        What is wrong with it, if it is there.
     """
     try:
+        if not is_sealed(file):
+            raise InputError("it is not whole, or of an older version.")  # noqa: TRY301
         noise = load_noise(file)
-    except InputError as error:
+    except (FileNotFoundError, NotADirectoryError):
+        return None, None
+    except (InputError, OSError) as error:
         _log.warning("The cached noise %s is damaged and is calculated again: %s", file, error)
         return None, str(error)
     models = noise.models if isinstance(noise, NoiseBank) else (noise,)

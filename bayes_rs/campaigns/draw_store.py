@@ -104,13 +104,13 @@ def open_draw_store(
             shutil.rmtree(path)
         _make(zarr, path, time, n_draw, part_records, attributes)
     with zarr.config.set({"array.write_empty_chunks": True}):  # a part without draws is whole, too
-        group = zarr.open_group(path, mode="r+")
+        group = zarr.open_group(path, mode="r+", zarr_format=3)
         return DrawStore(path, {name: group[name] for name in STRESSES}, part_records)
 
 
 def _is_of(zarr: Any, path: Path, attributes: Mapping[str, Any]) -> bool:
     try:
-        return dict(zarr.open_group(path, mode="r").attrs) == dict(attributes)
+        return dict(zarr.open_group(path, mode="r", zarr_format=3).attrs) == dict(attributes)
     except (OSError, ValueError, KeyError):
         return False
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import lzma
@@ -22,8 +21,10 @@ import xarray as xr
 from bayes_rs.campaigns.stream import StreamState, add_chunk, join_blocks
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.output import write_netcdf
 from bayes_rs.progress import progress_counter
 from bayes_rs.quality import IntArray
+from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.registry import SUFFIXES
 from bayes_rs.readers.streaming import stream_radial_velocity
@@ -47,7 +48,6 @@ _UNREADABLE = (
     pa.ArrowException,
 )
 """What libraries raise for a file that is not what it should be."""
-_NOT_THE_FILE = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def _read(
 
 def _bad_one(group: Sequence[Path], error: BaseException, scan: Scan, reading: Mapping[str, Any]) -> Path:
     """Return the file of a group that an error is about."""
-    if isinstance(error, OSError) and error.errno in _NOT_THE_FILE:
+    if isinstance(error, OSError) and error.errno in NOT_THE_FILE:
         raise error
     for path in group:
         if len(group) == 1 or str(path) in str(error):
@@ -319,7 +319,7 @@ def _save(folder: Path, done: _Progress, blocks: list[xr.Dataset], scan: Scan, o
         columns = {name: values[:0] for name, values in done.state.columns.items()}
         closed = replace(done.state, time=empty, beam=empty, columns=columns)
         part = join_blocks(blocks, closed, scan, **options)
-        _whole(_part(folder, done.n_part), lambda file: part.to_netcdf(file, engine="h5netcdf"))
+        _whole(_part(folder, done.n_part), lambda file: write_netcdf(part, file))
         done = replace(done, n_part=done.n_part + 1)
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}

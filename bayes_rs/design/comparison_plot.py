@@ -98,7 +98,7 @@ def plot_comparison(
         panel.set_title(stress)
         panel.set_xlabel("90 % width / uu")
         panel.grid(axis="x", alpha=0.3)
-    panels[0].set_yticks(range(len(scans)), scans)
+    panels[0].set_yticks(range(len(scans)), scans, parse_math=False)  # a name may hold a dollar sign
     panels[0].invert_yaxis()
     handles, labels = [], []
     for panel in panels:
@@ -106,6 +106,9 @@ def plot_comparison(
             if label not in labels:
                 handles.append(handle)
                 labels.append(label)
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), fontsize=9, frameon=False)
+    columns = min(len(labels), 4)
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
     figure.set_layout_engine("constrained")
     return figure

@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.models import find_model
+from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml, shown
 
-Distances = Annotated[list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=1)]
-Angle = Annotated[float, Field(allow_inf_nan=False)]
+MOST_BEAMS = 10_000
+"""Beams of a scan, all planes together: the covariance of their noise has as many rows, and fills 0.8 GB."""
+
+Distances = Annotated[list[Size], Field(min_length=1, max_length=MOST_BEAMS)]
+Angle = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 OpeningAngle = Annotated[float, Field(ge=0.0, le=90.0, allow_inf_nan=False)]
+_Whole = Annotated[int, Field(ge=-(10**9), le=10**9)]
+_Component = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=False, frozen=True)
-
-
-class _ConeBeams(_Table):
+class _ConeBeams(Table):
     """Beams on one cone about the axis, evenly spaced in phase, with or without a beam along the axis."""
 
     pattern: Literal["cone"]
-    count: Annotated[int, Field(ge=0)]
+    count: Annotated[int, Field(ge=0, le=MOST_BEAMS)]
     opening_angle_deg: OpeningAngle
     focus_distance: Distances
     first_phase_deg: Angle = 90.0
@@ -45,13 +46,13 @@ class _ConeBeams(_Table):
         return cone_direction(opening, phase) if self.axis == "upwind" else _upward_direction(opening, phase)
 
 
-class _RosetteBeams(_Table):
+class _RosetteBeams(Table):
     """Beams behind two rotating wedge prisms: the axis is deflected by the sum of two turning deflections."""
 
     pattern: Literal["rosette"]
-    count: Annotated[int, Field(ge=1)]
+    count: Annotated[int, Field(ge=1, le=MOST_BEAMS)]
     opening_angle_deg: OpeningAngle
-    turns: tuple[int, int]
+    turns: Annotated[tuple[_Whole, _Whole], Field(strict=False)]
     focus_distance: Distances
 
     def directions(self) -> FloatArray:
@@ -62,17 +63,17 @@ class _RosetteBeams(_Table):
         return cone_direction(np.hypot(sideways, upwards), np.arctan2(upwards, sideways))
 
 
-class _Beam(_Table):
+class _Beam(Table):
     """One beam: a number, and a direction in one of three notations."""
 
-    id: int
+    id: _Whole
     opening_angle_deg: OpeningAngle | None = None
     phase_deg: Angle | None = None
     sideways_deg: Angle | None = None
     upwards_deg: Angle | None = None
-    vector: tuple[Angle, Angle, Angle] | None = None
-    focus_distance: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
-    time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    vector: Annotated[tuple[_Component, _Component, _Component], Field(strict=False)] | None = None
+    focus_distance: Size | None = None
+    time: Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)] | None = None
 
     @field_validator("vector")
     @classmethod
@@ -96,63 +97,60 @@ class _Beam(_Table):
         )
 
 
-class _ListedBeams(_Table):
+class _ListedBeams(Table):
     """Beams written one by one, with the focus distances of all (planes) or of each, and times if not even."""
 
     pattern: Literal["list"]
-    beam: Annotated[list[_Beam], Field(min_length=1)]
+    beam: Annotated[list[_Beam], Field(min_length=1, max_length=MOST_BEAMS)]
     focus_distance: Distances | None = None
 
     def directions(self) -> FloatArray:
         return np.array([beam.direction() for beam in self.beam])
 
 
-class _Timing(_Table):
+class _Timing(Table):
     """When the beams are sampled."""
 
-    scan_duration: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    scan_duration: Annotated[float, Field(ge=1e-9, le=1e6, allow_inf_nan=False)]  # time has a resolution of 1e-9 s
     planes: Literal["simultaneous", "sequential"] = "simultaneous"
 
 
-class _Mounting(_Table):
+class _Mounting(Table):
     """How the instrument is mounted."""
 
     tilt_deg: Angle = 0.0
     yaw_deg: Angle = 0.0
 
 
-Length = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-
-
-class _PointProbe(_Table):
+class _PointProbe(Table):
     """No probe volume."""
 
     kind: Literal["point"]
 
 
-class _ContinuousWaveProbe(_Table):
+class _ContinuousWaveProbe(Table):
     """Lorentzian weighting, by its Rayleigh length or by the optics."""
 
     kind: Literal["continuous-wave"]
-    wavelength: Length | None = None
-    aperture_radius: Length | None = None
-    rayleigh_length: Length | None = None
+    wavelength: Size | None = None
+    aperture_radius: Size | None = None
+    rayleigh_length: Size | None = None
 
 
-class _PulsedProbe(_Table):
+class _PulsedProbe(Table):
     """A pulse, convolved with a range gate."""
 
     kind: Literal["pulsed"]
-    gate_length: Length
+    gate_length: Size
     pulse: Literal["top-hat", "gaussian"] = "top-hat"
-    pulse_length: Length | None = None
+    pulse_length: Size | None = None
 
 
-class _FileFormat(_Table):
+class _FileFormat(Table):
     """How this instrument's files name and sign things; the meaning of each key is in `read_radial_velocity`."""
 
-    columns: dict[str, str] = {}
-    beam_numbers: dict[str, int] = {}
+    columns: dict[str, str] = Field(default_factory=dict)
+    beam_numbers: dict[str, _Whole] = Field(default_factory=dict)
     positive: Literal["away", "towards"] | None = None
     velocity_unit: Literal["m/s", "km/h", "knot"] | None = None
     invalid: list[float] | None = None
@@ -160,11 +158,18 @@ class _FileFormat(_Table):
     separator: str | None = None
     decimal: str | None = None
     status_valid: int | None = None
+    time_format: str | None = None
+    time_stamp: Literal["start", "middle", "end"] | None = None
+    sample_duration: float | None = None
+    angle_tolerance_deg: float | None = None
+    range_tolerance: float | None = None
+    phase_zero_deg: float | None = None
+    phase_turns: Literal["up", "down"] | None = None
 
 
-class _ScanFile(_Table):
-    title: str
-    source: str
+class _ScanFile(Table):
+    title: Text
+    source: Text
     beams: Annotated[_ConeBeams | _RosetteBeams | _ListedBeams, Field(discriminator="pattern")]
     timing: _Timing
     mounting: _Mounting = _Mounting()
@@ -270,15 +275,23 @@ def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
     return [float(item) for item in np.atleast_1d(np.asarray(value, dtype=np.float64))]
 
 
-def _read_table(path: Path) -> dict[str, Any]:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"File {str(path)!r} is not valid TOML: {error}.") from error
+def _read_table(path: Path, deeper: int = 0) -> dict[str, Any]:
+    table = read_toml(path)
     if "base" not in table:
         return table
-    base_path = path.parent / f"{table['base']}.toml"
-    base = _read_table(base_path if base_path.is_file() else find_model(str(table["base"]), "scans"))
+    name = table["base"]
+    if not isinstance(name, str) or not name.isprintable() or Path(name).name != name or len(name) > _MOST_NAME:
+        raise InputError(
+            f"Invalid scan file {str(path)!r}: base = {shown(name)}: it must be the name of a scan: of a preset or of "
+            "a file beside this one."
+        )
+    if deeper == _MOST_BASES:
+        raise InputError(
+            f"Invalid scan file {str(path)!r}: base = {name!r}: more than {_MOST_BASES} files are based on each other; "
+            "write one of them out."
+        )
+    base_path = path.parent / f"{name}.toml"
+    base = _read_table(base_path if base_path.is_file() else find_model(name, "scans"), deeper + 1)
     return _merge(base, {key: value for key, value in table.items() if key != "base"})
 
 
@@ -291,6 +304,7 @@ def _merge(base: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
+_MOST_BASES, _MOST_NAME = 8, 200
 _TAGS = ("cone", "rosette", "list", "point", "continuous-wave", "pulsed")  # pydantic names the kind of table, too
 
 
@@ -298,20 +312,17 @@ def _validate(table: dict[str, Any], path: Path) -> _ScanFile:
     try:
         return _ScanFile.model_validate(table)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
-        rule = {
-            "extra_forbidden": "unknown key; remove it or correct its spelling",
-            "missing": "required key is missing",
-        }.get(first["type"], first["msg"][0].lower() + first["msg"][1:])
-        given = "" if first["type"] == "missing" else f" = {first['input']!r}"
-        raise InputError(f"Invalid scan file {str(path)!r}: {place}{given}: {rule}.") from error
+        raise invalid_file("scan", path, error, leave_out=_TAGS) from error
 
 
 def _build(name: str, spec: _ScanFile) -> Scan:
     directions = spec.beams.directions()
     distances, own_times = _distances(name, spec.beams), _own_values(name, spec.beams, "time")
     n_beam, n_plane = len(directions), len(distances)
+    if n_beam * n_plane > MOST_BEAMS:
+        raise InputError(
+            f"Scan {name!r} has {n_beam} beams on {n_plane} planes: all together may be {MOST_BEAMS}; give fewer."
+        )
     if n_beam == 0:
         raise InputError(f"Scan {name!r} has no beam: beams.count is 0 and beams.centre is false.")
     step = spec.timing.scan_duration / n_beam

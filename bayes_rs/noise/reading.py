@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import yaw_matrix
-from bayes_rs.noise.file import FILE_KIND, FILE_VERSION
+from bayes_rs.noise.file import FILE_KIND, FILE_VERSION, is_sealed
 from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.readers.compressed import UNREADABLE
+from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -46,16 +48,19 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"No noise file {str(file)!r}: make one with calibrate, or give the path of another.")
+    is_sealed(file)
     try:
+        check_netcdf(file)
         dataset = xr.load_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+    except UNREADABLE as error:
+        reason = error.__cause__ or error
         raise InputError(
-            f"File {str(file)!r} cannot be read as NetCDF, it is damaged or of another kind: {error}."
+            f"File {str(file)!r} cannot be read as NetCDF, it is damaged or of another kind: {reason}."
         ) from error
-    if dataset.attrs.get("kind") != FILE_KIND:
+    if str(dataset.attrs.get("kind")) != FILE_KIND:
         raise InputError(f"File {str(file)!r} is not a noise file of bayes_rs: make one with calibrate.")
     version = dataset.attrs.get("format_version", 0)
-    if version != FILE_VERSION:
+    if not np.array_equal(version, FILE_VERSION):
         raise InputError(
             f"Noise file {str(file)!r} has format version {version} and this program reads {FILE_VERSION}: "
             "calibrate again."
@@ -64,7 +69,7 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
         return _from_dataset(dataset)
     except InputError as error:
         raise InputError(f"Noise file {str(file)!r} is damaged: {error}") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except UNREADABLE as error:
         raise InputError(f"Noise file {str(file)!r} is damaged, {error} cannot be read: calibrate again.") from error
 
 
@@ -77,7 +82,7 @@ def _from_dataset(dataset: xr.Dataset) -> NoiseModel | NoiseBank:
         "direction": _per_beam(states["direction"]).tolist(),
         "focus_distance": _per_beam(states["focus_distance"]).tolist(),
         "beam_time": _per_beam(states["beam_time"]).tolist(),
-        "scan_duration": float(attributes["scan_duration"]),
+        "scan_duration": check_positive(attributes["scan_duration"], what="scan_duration", unit="s"),
         **({"probe": json.loads(attributes["probe"])} if "probe" in attributes else {}),
     }
     turbulence = MannTurbulence(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import errno
 import gzip
 import lzma
 import tempfile
@@ -39,6 +40,9 @@ UNREADABLE = (
 )
 """What libraries raise for a damaged file."""
 
+NOT_THE_FILE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+"""What the system fails with whatever the file is."""
+
 _BLOCK = 1 << 20
 
 
@@ -51,7 +55,15 @@ def plain_suffix(file: Path) -> str:
 
 
 def unreadable(file: Path, error: BaseException, *, as_what: str = "") -> InputError:
-    """Return the error to raise for a file that a library cannot read."""
+    """Return the error to raise for a file that a library cannot read.
+
+    Raises
+    ------
+    OSError
+        The same error, if it is not the file's fault, as where the disk is full: it must not count as damaged.
+    """
+    if isinstance(error, OSError) and error.errno in NOT_THE_FILE:
+        raise error
     reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
     reason = "".join(character if character.isprintable() else " " for character in reason)
     return InputError(

@@ -18,6 +18,7 @@ MOST_RATIO = 2000
 _TYPE_SIZE = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
 _DIMENSION, _VARIABLE, _ATTRIBUTE = 10, 11, 12
 _MOST_HEADER = 64 * 1024**2
+_MOST_DEPTH = 8
 
 
 @dataclass
@@ -79,7 +80,8 @@ def check_netcdf(file: Path) -> None:
     ------
     InputError
         If the header of a classic NetCDF file is damaged, or a variable of a NetCDF-4 file announces more than
-        `MOST_BYTES` and more than `MOST_RATIO` times the file's length.
+        `MOST_BYTES` and more than `MOST_RATIO` times the file's length, stands in another file, or its groups hold
+        each other: searching them, the library can die and take the process with it.
     """
     with file.open("rb") as opened:
         magic = opened.read(8)
@@ -90,22 +92,38 @@ def check_netcdf(file: Path) -> None:
 
 
 def _check_sizes(file: Path) -> None:
-    most = max(MOST_BYTES, MOST_RATIO * file.stat().st_size)
-
-    def check(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and item.size and item.size * item.dtype.itemsize > most:
-            raise InputError(
-                f"File {str(file)!r} cannot be read as NetCDF: its variable {name!r} announces "
-                f"{item.size * item.dtype.itemsize} bytes; check that it is complete and not damaged."
-            )
-
     try:
         with h5py.File(file, "r") as opened:
-            opened.visititems(check)
+            _check_group(opened, file, max(MOST_BYTES, MOST_RATIO * file.stat().st_size), ())
     except InputError:
         raise
     except UNREADABLE as error:
         raise unreadable(file, error, as_what=" as NetCDF") from error
+
+
+def _check_group(group: h5py.Group, file: Path, most: int, above: tuple[int, ...]) -> None:
+    """Check what a group holds, and the groups in it; `above` are the addresses of those that it is in."""
+    address = h5py.h5o.get_info(group.id).addr
+    if address in above or len(above) == _MOST_DEPTH:
+        raise InputError(
+            f"File {str(file)!r} cannot be read as NetCDF: its groups hold each other, or are more than {_MOST_DEPTH} "
+            "deep; check that it is complete and not damaged."
+        )
+    for name in group:
+        link = group.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(
+                f"File {str(file)!r} cannot be read as NetCDF: its {name!r} stands in another file, "
+                f"{link.filename!r}; copy it into one file."
+            )
+        item = None if isinstance(link, h5py.SoftLink) else group[name]
+        if isinstance(item, h5py.Group):
+            _check_group(item, file, most, (*above, address))
+        elif isinstance(item, h5py.Dataset) and item.size and item.size * item.dtype.itemsize > most:
+            raise InputError(
+                f"File {str(file)!r} cannot be read as NetCDF: its variable {item.name.removeprefix('/')!r} announces "
+                f"{item.size * item.dtype.itemsize} bytes; check that it is complete and not damaged."
+            )
 
 
 def check_classic_header(file: Path) -> None:

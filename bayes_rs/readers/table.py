@@ -95,7 +95,7 @@ class Table:
 
     def found(self) -> str:
         """List the columns that are there, with a hint where the separator looks wrong."""
-        listed = f"its columns are {', '.join(repr(heading) for heading in self.headings)}"
+        listed = f"its columns are {', '.join(repr(heading[:60]) for heading in self.headings)}"
         for separator, word in ((";", "';'"), ("\t", "'tab'"), (",", "','")):
             if self.is_csv and len(self.headings) == 1 and separator in self.headings[0]:
                 return f"{listed} (is it separated by {word}? then give separator={word})"

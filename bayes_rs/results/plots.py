@@ -146,7 +146,7 @@ def plot_corner(
         )
         when = f", {np.datetime_as_string(start, unit='m')} UTC" if start is not None else ""
         title = f"{result.attrs['scan']}, record {index}{when}, prior {result.attrs['prior_name']}"
-    target.suptitle(title, fontsize=12, x=0.98, ha="right")
+    target.suptitle(title, fontsize=12, x=0.98, ha="right", parse_math=False)
     return target
 
 
@@ -282,5 +282,6 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
         axes[-1].xaxis.set_major_locator(locator)
         formatter = mdates.ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
         axes[-1].xaxis.set_major_formatter(formatter)
-    figure.suptitle(f"{result.attrs['scan']}: {result.attrs['sight']}; prior {result.attrs['prior_name']}", fontsize=11)
+    words = f"{result.attrs['scan']}: {result.attrs['sight']}; prior {result.attrs['prior_name']}"
+    figure.suptitle(words, fontsize=11, parse_math=False)  # a name may hold a dollar sign
     return figure

@@ -11,7 +11,7 @@ import xarray as xr
 
 from bayes_rs._version import __version__
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.output import check_output_folder, output_folder, write_run
+from bayes_rs.output import check_output_folder, output_folder, write_csv, write_netcdf, write_run
 from bayes_rs.spectra.mann_fit import fit_spectra, pool_length_scale
 from bayes_rs.spectra.noise_estimate import estimate_instrument_noise
 from bayes_rs.spectra.radial_spectrum import average_spectra, radial_spectra
@@ -96,11 +96,11 @@ def run_spectra(
     rows = rows.assign(**{name: fit[name].values for name in _FIT_COLUMNS})
     floor = estimate.drop_vars("time").assign_coords(record=record).to_dataframe().reset_index()
     with output_folder(output, overwrite=overwrite) as folder:
-        averages.to_dataframe().reset_index().to_csv(folder / "spectra.csv", index=False)
-        rows.to_csv(folder / "fit.csv", index=False)
-        floor.to_csv(folder / "noise.csv", index=False)
-        spectra.to_netcdf(folder / "spectra.nc", engine="h5netcdf")
-        fit.to_netcdf(folder / "fit.nc", engine="h5netcdf")
+        write_csv(averages.to_dataframe().reset_index(), folder / "spectra.csv", index=False)
+        write_csv(rows, folder / "fit.csv", index=False)
+        write_csv(floor, folder / "noise.csv", index=False)
+        write_netcdf(spectra, folder / "spectra.nc")
+        write_netcdf(fit, folder / "fit.nc")
         plot_spectra(spectra, fit).savefig(folder / "spectra.png", dpi=130)
         write_run(
             folder,

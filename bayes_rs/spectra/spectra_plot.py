@@ -123,7 +123,7 @@ def plot_spectra(
     head = f"{spectra.attrs.get('scan', '')}: {count} record{'s' * (count > 1)} of {spectra.attrs['duration']:g} s"
     if fit is not None and "beam" not in fit["length_scale"].dims:
         head += f"; {_found(fit['length_scale'].values)}"
-    figure.suptitle(head, fontsize=11)
+    figure.suptitle(head, fontsize=11, parse_math=False)
     return figure
 
 

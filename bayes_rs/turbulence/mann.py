@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from scipy import optimize
 
 from bayes_rs._validation import FloatArray, check_array, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.models import find_model
+from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml
 from bayes_rs.turbulence.one_point import one_point_spectra, scaled_stresses
 from bayes_rs.turbulence.spectral_tensor import spectral_tensor
 
@@ -181,13 +181,12 @@ def fit_turbulence(stress: ArrayLike, *, length_scale: float, name: str = "fitte
     )
 
 
-class _TurbulenceFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    title: str
-    source: str
-    dissipation: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-    length_scale: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-    gamma: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+class _TurbulenceFile(Table):
+    title: Text
+    source: Text
+    dissipation: Size
+    length_scale: Size
+    gamma: Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 
 
 def load_turbulence(name: str | Path) -> MannTurbulence:
@@ -215,13 +214,9 @@ def load_turbulence(name: str | Path) -> MannTurbulence:
     """
     path = find_model(name, "turbulence")
     try:
-        spec = _TurbulenceFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"File {str(path)!r} is not valid TOML: {error}.") from error
+        spec = _TurbulenceFile.model_validate(read_toml(path))
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"Invalid turbulence file {str(path)!r}: {place}: {first['msg']}.") from error
+        raise invalid_file("turbulence", path, error) from error
     return MannTurbulence(
         dissipation=spec.dissipation,
         length_scale=spec.length_scale,

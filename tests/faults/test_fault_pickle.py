@@ -1,0 +1,105 @@
+"""No pickle: nothing that is read can run code. Only worker processes of one run pass pickled jobs among themselves."""
+
+import ast
+import zipfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import bayes_rs
+from bayes_rs.models import models_folder
+
+PACKAGE = Path(bayes_rs.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+FORBIDDEN = {"pickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml", "jsonpickle"}
+CALLS = {"read_pickle", "to_pickle", "eval", "exec", "compile", "literal_eval", "unsafe_load", "import_pickle"}
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_package(module):
+    """loky and Dask, in `campaigns.workers`, pickle what goes to the workers of a run, and read no file that way."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        assert not FORBIDDEN & {name.split(".")[0] for name in names}
+        if isinstance(node, ast.Call):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            allowed = called == "compile" and isinstance(node.func, ast.Attribute)  # re.compile
+            assert allowed or called not in CALLS, ast.unparse(node)
+            assert not any(keyword.arg == "allow_pickle" for keyword in node.keywords), ast.unparse(node)
+
+
+def test_the_check_sees_a_pickle():
+    tree = ast.parse("np.load(file, allow_pickle=True)")
+    assert any(
+        keyword.arg == "allow_pickle"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        for keyword in node.keywords
+    )
+
+
+@pytest.mark.parametrize("file", sorted(models_folder("noise").glob("*.nc")), ids=lambda path: path.name)
+def test_shipped_files(file):
+    """HDF5 holds numbers and texts only: no opaque and no object data."""
+
+    def check(name, item):
+        if isinstance(item, h5py.Dataset):
+            assert item.dtype.kind in "fiu" or h5py.check_string_dtype(item.dtype), name
+
+    with h5py.File(file, "r") as opened:
+        opened.visititems(check)
+
+
+def test_what_a_folder_fit_keeps_while_it_reads(tmp_path, monkeypatch):
+    from bayes_rs.campaigns import record_store  # noqa: PLC0415
+
+    monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
+    scan = bayes_rs.load_scan("staring")
+    rows = [f"{np.datetime64('2020-01-01T00:00:00') + np.timedelta64(k, 's')},0,{k % 7}" for k in range(1500)]
+    (tmp_path / "a.csv").write_text("time,beam,radial_velocity\n" + "\n".join(rows) + "\n")
+    record_store.store_records(tmp_path / "a.csv", scan, tmp_path / "kept")
+    with zipfile.ZipFile(tmp_path / "kept" / "state.npz") as archive:
+        for name in archive.namelist():
+            with archive.open(name) as part:
+                assert np.lib.format.read_array(part, allow_pickle=False).dtype.kind != "O"
+
+
+def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
+    from bayes_rs.campaigns import record_store  # noqa: PLC0415
+
+    class Evil:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "run",))
+
+    np.savez(tmp_path / "state.npz", meta=np.array([Evil()], dtype=object))
+    assert record_store._load(tmp_path).files == {}
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_zarr_store_with_a_pickle_is_refused(tmp_path):
+    """Version 2 of Zarr has a filter that unpickles: only version 3, which has none, is opened."""
+    pytest.importorskip("zarr")
+    import json  # noqa: PLC0415
+    import pickle  # noqa: PLC0415
+
+    from bayes_rs.report.folder import _draws_of_store  # noqa: PLC0415
+
+    class Evil:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "run",))
+
+    store = tmp_path / "draws.zarr"
+    (store / "uu").mkdir(parents=True)
+    (store / ".zgroup").write_text('{"zarr_format": 2}')
+    array = {"zarr_format": 2, "shape": [1, 1], "chunks": [1, 1], "dtype": "|O", "compressor": None, "fill_value": None}
+    (store / "uu" / ".zarray").write_text(json.dumps({**array, "order": "C", "filters": [{"id": "pickle"}]}))
+    (store / "uu" / "0.0").write_bytes(pickle.dumps(Evil()))
+    with pytest.raises((OSError, ValueError)):
+        _draws_of_store(store, np.array([0]), 1)
+    assert not (tmp_path / "run").exists()
