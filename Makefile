@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 SECONDS ?= 3600
 
-.PHONY: demo test test-long stress check notebooks data noise clean
+.PHONY: demo test test-long stress check docs benchmarks notebooks data noise clean
 
 demo: $(VENV)/installed
 	$(ENV) $(BIN)/bayes-rs demo --overwrite
@@ -34,6 +34,14 @@ check: $(VENV)/installed-check
 	$(ENV) $(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' -p no:cacheprovider bayes_rs README.md docs
 	$(ENV) $(BIN)/python notebooks/run_short.py
 	$(BIN)/nbstripout --verify notebooks/*.ipynb
+
+# the site, in docs/_build/html: a warning or a notebook that fails is an error; no network
+docs: $(VENV)/installed-docs
+	$(ENV) $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+
+# the benchmarks page, benchmarks/measured.md: about ten minutes on two quiet cores
+benchmarks: $(VENV)/installed-test
+	$(ENV) $(BIN)/python benchmarks/page.py
 
 # what is shipped in models/, made again; `noise` takes about half an hour
 data: $(VENV)/installed-test
@@ -58,5 +66,9 @@ $(VENV)/installed-check: $(VENV)/installed-test
 	$(PIP) --group check
 	touch $@
 
+$(VENV)/installed-docs: $(VENV)/installed-test
+	$(PIP) --group docs
+	touch $@
+
 clean:
-	rm -rf $(VENV) bayes-rs-demo dist build
+	rm -rf $(VENV) bayes-rs-demo dist build docs/_build docs/api docs/benchmarks docs/notebooks
