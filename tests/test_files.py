@@ -151,7 +151,7 @@ def assert_streams_to(parts: list[xr.Dataset], whole: xr.Dataset) -> None:
     for part in parts:
         assert part.sizes["sample"] > 0
         times = part["time"].values
-        assert (np.diff(times) >= np.timedelta64(0)).all()
+        assert (np.diff(times) >= np.timedelta64(0, "ns")).all()
         assert last is None or times[0] >= last
         last = times[-1]
         assert set(part.attrs) == set(whole.attrs)

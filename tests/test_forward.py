@@ -95,6 +95,22 @@ class TestSight:
         change = design_matrix(scan) @ seen.unseen.T
         np.testing.assert_allclose(change, 0.0, atol=1e-12 * max(1.0, np.abs(seen.unseen).max(initial=0.0)))
 
+    @pytest.mark.parametrize("n_beam", [1, 2, 3, 4, 5])
+    def test_unseen_directions_are_in_reduced_echelon_form(self, n_beam):
+        """Each leads with a 1 where all others are 0, so that there is one such list for beams in any order."""
+        beams = np.random.default_rng(4).normal(size=(n_beam, 3))
+        unseen = sight(beams).unseen
+        lead = [int(np.flatnonzero(row)[0]) for row in unseen]
+        assert lead == sorted(lead)
+        np.testing.assert_allclose(unseen[:, lead], np.eye(6 - n_beam), rtol=0.0, atol=1e-12)  # rounding
+        np.testing.assert_allclose(sight(beams[::-1]).unseen, unseen, rtol=0.0, atol=1e-9)  # condition below 1e3
+
+    def test_words_say_how_much_of_one_stress_goes_with_another(self):
+        """On the cone n₁² = 2 n₂² + n₃² one more uu is undone by 2 less vv and 1 less ww."""
+        phase = np.linspace(0.1, 6.0, 9)
+        beams = np.stack([-np.ones(9), np.sin(phase) / np.sqrt(2.0), np.cos(phase)], axis=-1)
+        assert sight(beams).in_words() == "sees uv, uw, vw; sees uu only together with vv + 0.5 ww"
+
     @pytest.mark.parametrize("name", ["4-beam", "50-beam", "51-beam", "6-beam"])
     def test_more_planes_of_the_same_beams_see_nothing_more(self, name):
         assert sight(load_scan(f"{name}-planes")).rank == sight(load_scan(name)).rank

@@ -11,7 +11,13 @@ from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
+from bayes_rs.geometry.stress import is_realizable
+from bayes_rs.likelihoods.log_normal import (
+    LIKELIHOODS,
+    REFERENCE_STRESS,
+    log_normal_likelihood,
+    make_likelihood,
+)
 from bayes_rs.priors.registry import WeakPrior
 
 ROOT = Path(__file__).parents[1]
@@ -67,8 +73,6 @@ def test_moments_are_those_of_the_noise_model():
 @pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar", "staring-planes"])
 def test_reduced_density_is_that_of_the_projected_data(name, stress):
     """Any orthonormal basis of the column space at the reference shape, by another route than the code's."""
-    from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS  # noqa: PLC0415
-
     scan = load_scan(name)
     noise = plain_noise(scan)
     variance = draw_variances(stress, scan, noise, np.random.default_rng(4))
@@ -156,6 +160,29 @@ def test_draws_do_not_depend_on_those_beside_them(name, n_draw):
 def test_names_of_the_likelihoods():
     """They are options of `fit` and stand in results."""
     assert list(LIKELIHOODS) == ["log-normal", "gaussian-plugin", "gaussian", "gamma"]
+
+
+@pytest.mark.parametrize("name", LIKELIHOODS)
+def test_there_is_no_instrument_noise_unless_it_is_given(name, stress):
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    variance = draw_variances(stress, scan, noise, np.random.default_rng(10))
+    shape = (7, scan.n_beam)
+    gain, covariance = np.broadcast_to(noise.gain, (*shape, 6)), np.broadcast_to(noise.covariance, (*shape, shape[1]))
+    tensors = np.broadcast_to(stress, (7, 7, 6))
+    found, none, some = (
+        make_likelihood(name, variance, np.ones(shape, dtype=bool), gain, covariance, *offset).log_density(tensors)
+        for offset in ((), (0.0,), (0.1,))
+    )
+    np.testing.assert_array_equal(found, none)
+    assert np.all(found != some)
+
+
+def test_the_reference_shape_is_that_of_near_neutral_flow():
+    """Realizable, with equal parts to the left and to the right, and momentum that goes down."""
+    assert is_realizable(REFERENCE_STRESS)
+    np.testing.assert_array_equal(REFERENCE_STRESS[[3, 5]], 0.0)
+    assert REFERENCE_STRESS[4] < 0.0 < REFERENCE_STRESS[2] < REFERENCE_STRESS[1] < REFERENCE_STRESS[0]
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,12 @@
 """Mann turbulence: its parameters, presets, stresses, and the way back from stresses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.models import preset_names
 from bayes_rs.turbulence.mann import MannTurbulence, fit_turbulence, load_turbulence
 
@@ -80,6 +83,16 @@ class TestFit:
         found = fit_turbulence([1.0, 1.0, 1.0, 0.5, 0.0, 0.0], length_scale=50.0)
         assert found.gamma < 1e-3
         assert "relative misfit 0.38" in found.source  # 0.5 sqrt(2) / sqrt(3.5)
+
+    def test_the_misfit_is_the_frobenius_norm_of_the_whole_tensor(self):
+        stress = np.array([1.4, 0.9, 0.5, 0.3, -0.3, 0.2])
+        found = fit_turbulence(stress, length_scale=50.0)
+        miss = np.linalg.norm(unpack_stress(stress - found.stresses())) / np.linalg.norm(unpack_stress(stress))
+        assert f"relative misfit {miss:.2g}" in found.source
+        for gamma in (0.98 * found.gamma, 1.02 * found.gamma):  # and it is the smallest
+            other = replace(found, gamma=gamma).stresses()
+            other *= np.sum(unpack_stress(stress) * unpack_stress(other)) / np.sum(unpack_stress(other) ** 2)
+            assert np.linalg.norm(unpack_stress(stress - other)) > miss * np.linalg.norm(unpack_stress(stress))
 
     def test_refuses_a_tensor_that_is_not_realizable(self):
         with pytest.raises(InputError, match="the tensor must be positive semi-definite and not zero"):

@@ -45,6 +45,7 @@ def scene():
     rng = np.random.default_rng(5)
     present = rng.random((3, 41)) < 0.7
     present[1, 10:30] = False
+    present[:, -1] = True  # after the record's end for beams 2 and 5
     return scan, present, {"wind_speed": 8.0, "duration": 40.3}
 
 

@@ -80,6 +80,9 @@ class TestLaws:
         expected = np.log(sum(w * np.exp(part.log_density(draws)) for w, part in zip(weight, parts, strict=True)))
         np.testing.assert_allclose(mixture.log_density(draws), expected, rtol=1e-12)
         np.testing.assert_allclose(mixture.take(np.array([2])).log_density(draws[[2]]), expected[[2]], rtol=1e-12)
+        assert all(
+            getattr(mixture, name) is getattr(parts[1], name) for name in ("gain", "offset", "n_datum", "dof", "place")
+        )
 
     def test_the_rule_over_the_length_scale_has_its_moments(self):
         factor, weight = Nuisances(length_scale_log_sd=0.4).length_scale_nodes()
@@ -87,6 +90,24 @@ class TestLaws:
         assert weight @ np.log(factor) == pytest.approx(0.0, abs=1e-14)
         assert weight @ np.log(factor) ** 2 == pytest.approx(0.16)
         assert 1.0 in factor
+
+    def test_words_name_every_one_with_its_width(self):
+        assert Nuisances().in_words() == "nothing but R"
+        everything = Nuisances(
+            yaw_sd_deg=2.0,
+            tilt_sd_deg=1.0,
+            instrument_noise_log_sd=0.5,
+            length_scale_log_sd=0.4,
+            inflation=1.5,
+            inflation_dof=5.0,
+            vertical_gradient_sd=0.3,
+            lateral_gradient_sd=0.2,
+        )
+        assert everything.in_words() == (
+            "yaw ± 2°, tilt ± 1°, instrument noise within a factor 1.6, lateral gradient of ln R ± 0.2 per 100 m, "
+            "vertical gradient of ln R ± 0.3 per 100 m, length scale within a factor 1.5, noise inflated by 1.5, "
+            "noise inflation uncertain, 5 degrees of freedom (one standard deviation)"
+        )
 
 
 class TestCalibration:

@@ -465,6 +465,22 @@ class TestByName:
         assert "gamma uniform from 0 to 5" in MannPrior().in_words()
         assert "sample of 60 tensors, scores times 2" in SamplePrior(skewed_sample(60, 29), width=2.0).in_words()
 
+    def test_the_numbers_in_the_words(self):
+        """Factors are exp(1.96 sd), correlations are tanh(artanh ρ ± 1.96 sd)."""
+        assert WeakPrior().in_words() == (
+            "weak: uu log-normal about 1 m² s⁻² (factor 50 either way), vv/uu about 0.5 (factor 2.7), "
+            "ww/uu about 0.27 (factor 3.2), correlation of u and w about -0.29, the others about 0 (95 %)"
+        )
+        assert RatioPrior(uv=0.1).in_words() == (
+            "ratio: uu log-normal about 1 (factor 50.4), vv/uu log-normal about 0.5 (factor 2.66), ww/uu log-normal "
+            "about 0.27 (factor 3.24); correlations uv -0.53 to 0.66, uw -0.76 to 0.37, vw given u -0.60 to 0.60 (95 %)"
+        )
+        variance = np.diag([0.04, 0.01, 0.01, 0.0025, 0.0025, 0.0009])
+        assert GaussianPrior([1.0, 0.6, 0.4, 0.0, -0.2, 0.0], variance).in_words() == (
+            "gaussian: normal with mean (1, 0.6, 0.4, 0, -0.2, 0) and standard deviation (0.2, 0.1, 0.1, 0.05, 0.05, "
+            "0.03) m² s⁻² in uu, vv, ww, uv, uw, vw, cut to realizable tensors (100 % of it)"
+        )
+
     def test_a_name_with_parameters(self):
         assert make_prior("flat:bound=10") == FlatPrior(bound=10.0)
         assert make_prior("weak: log_sd_vv = 1, z_sd=0.5") == WeakPrior(log_sd_vv=1.0, z_sd=0.5)

@@ -16,6 +16,7 @@ from bayes_rs.geometry.probe import (
     PulsedProbe,
     _cauchy_pair_rule,
     _cauchy_rule,
+    _gauss_rule,
     make_probe,
     probe_difference,
 )
@@ -316,7 +317,26 @@ class TestNoise:
         np.testing.assert_array_equal(skipped.gain, points.gain)
         error = np.abs(skipped.covariance - whole.covariance).max()
         assert error < skipped.details["probe_error"] * skipped.covariance.max()
+        expected, lost = points.gain @ SEED.stresses(), skipped.details["probe_loss"]
+        slack = expected.max() / np.min((1.0 + points.bias) * expected)  # of Cauchy and Schwarz' inequality
+        bound = 2.0 * lost + lost * slack * np.sqrt(8.0 / points.covariance.max())
+        assert skipped.details["probe_error"] == pytest.approx(bound, rel=1e-6)  # eigenvalues of K set to zero
         assert skipped.scan_geometry["probe"] == scan.probe.parameters()
+
+    def test_the_loss_is_that_of_the_beam_that_loses_most(self):
+        """Rayleigh lengths grow with the square of the distance; one far beam is enough for a probe that counts."""
+        directions, distance = load_scan("6-beam").beam_direction[:2], np.array([10.0, 120.0])
+
+        def noise(index, tolerance=0.0):
+            n = len(index)
+            scan = Scan("far", directions[index], distance[index], np.zeros(n), 1.0, probe=OPTICS)
+            return theory_noise(scan, SEED, wind_speed=10.0, duration=60.0, probe_tolerance=tolerance)
+
+        near, far, both = (noise(np.array(index)).details["probe_loss"] for index in ([0], [1], [0, 1]))
+        assert near < 0.1 * far
+        assert both == pytest.approx(far, rel=1e-2)  # rules are made for the longest probe of a scan
+        assert noise(np.array([0, 1]), 0.5 * far).details["probe_as_points"] is False
+        assert noise(np.array([0, 1]), 2.0 * far).details["probe_as_points"] is True
 
     @pytest.mark.parametrize("probe", [OPTICS, PulsedProbe(30.0, "gaussian", 30.0)], ids=lambda p: p.kind)
     def test_gain_gives_the_expected_variances_of_the_model(self, probe):
@@ -473,9 +493,17 @@ class TestFilesAndNames:
             theory_noise(load_scan("staring"), SEED, wind_speed=10.0, probe_tolerance=-1.0)
 
 
-def test_a_measure_of_few_points_is_its_own_quadrature():
-    from bayes_rs.geometry.probe import _gauss_rule  # noqa: PLC0415
+@pytest.mark.parametrize("n", [2, 5, 9])
+def test_gaussian_quadrature_is_exact_for_polynomials(n):
+    """Up to the degree 2n − 1, for a measure that is not symmetric: here ∫x^p 2x dx = 2/(p + 2) over (0, 1)."""
+    points = (np.arange(4000) + 0.5) / 4000
+    node, weight = _gauss_rule(points, points, n)
+    for power in range(2 * n):
+        assert np.sum(weight * node**power) == pytest.approx(np.sum(points * points**power) / np.sum(points), rel=1e-9)
+        assert np.sum(weight * node**power) == pytest.approx(2.0 / (power + 2), rel=1e-4)  # sums by midpoints
 
+
+def test_a_measure_of_few_points_is_its_own_quadrature():
     points = np.linspace(-1.0, 1.0, 9)
     weights = np.where(np.abs(points) < 0.3, 2.0, 0.0)
     nodes, shares = _gauss_rule(points, weights, 8)

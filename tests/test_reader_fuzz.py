@@ -163,7 +163,7 @@ def check(file: Path, *, scan=SIX, statistics: bool = False, **options) -> bool:
         return False
     assert series.sizes["sample"] > 0
     assert not np.isnat(series["time"].values).any()
-    assert (np.diff(series["time"].values) >= np.timedelta64(0)).all()
+    assert (np.diff(series["time"].values) >= np.timedelta64(0, "ns")).all()
     assert np.isin(series["beam"].values, scan.beam).all()
     assert not np.isinf(series["radial_velocity"].values).any()
     return True

@@ -169,6 +169,13 @@ class TestWindows:
 
 
 class TestFlags:
+    def test_bits_are_the_documented_ones(self):
+        """They stand in files."""
+        beam = ("too_few_samples", "constant", "all_missing", "no_samples", "wind_sector", "record_excluded")
+        record = ("yaw_not_seen", "wind_not_seen", "beam_flagged", "no_usable_beam")
+        assert {name: 2**bit for bit, name in enumerate(beam)} == BEAM_FLAGS
+        assert {name: 2**bit for bit, name in enumerate(record)} == RECORD_FLAGS
+
     def test_nothing_to_flag(self):
         records = make_records(series_of(*grid()), SCAN)
         assert not records["flag"].any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise
 
-from bayes_rs import MannTurbulence, WeakPrior, load_scan, theory_bank
+from bayes_rs import InputError, MannTurbulence, WeakPrior, load_scan, theory_bank
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import reduced_log_normal_likelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
@@ -130,6 +130,17 @@ def test_what_it_does_not_suit():
     assert not ReducedNoise.suits(plain_noise(scan))
     assert not ReducedNoise.suits(bank_of(load_scan("6-beam")))
     assert not ReducedNoise.suits(NoiseBank(tuple(replace(model, gain=0.9 * model.gain) for model in bank.models)))
+    less = [replace(model, gain=model.gain - [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]) for model in bank.models]
+    assert not ReducedNoise.suits(NoiseBank(tuple(less)))
+    assert all(ReducedNoise.suits(bank_of(scan.select(np.arange(n)))) is (n >= 16) for n in (15, 16, 17))
+
+
+@pytest.mark.parametrize("options", [{"inflation": 0.0}, {"dof": -1.0}])
+def test_widths_that_are_not_positive_are_refused(options):
+    noise = ReducedNoise(bank_of(load_scan("50-beam")))
+    at = noise.for_records([10.0], [0.0])
+    with pytest.raises(InputError, match=f"Invalid {next(iter(options))} "):
+        reduced_log_normal_likelihood(np.ones((1, 50)), at.gain, noise.left, at.covariance, at.log_variance, **options)
 
 
 def test_a_record_alone_is_the_record_in_company():

@@ -1,6 +1,7 @@
 """Scans: geometry, presets, TOML files and what is wrong with bad ones."""
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -171,6 +172,17 @@ class TestKey:
         }
         assert len(keys) == 5
 
+    @pytest.mark.parametrize("name", ["beam_direction", "focus_distance", "beam_time"])
+    def test_rounding_and_the_sign_of_zero_do_not_change_it(self, name):
+        """Numbers that went through a file or a rotation differ in the last digits, and zeros in their sign."""
+        scan = load_scan("6-beam")
+        rounded = getattr(scan, name) + 1e-13
+        assert np.any(rounded != getattr(scan, name))
+        assert replace(scan, **{name: rounded}).key == scan.key
+        zero = getattr(scan, name).copy()
+        zero[zero == 0.0] = -0.0
+        assert replace(scan, **{name: zero}).key == scan.key
+
 
 GOOD = """
 title = "Two beams"
@@ -282,6 +294,17 @@ class TestScanObject:
     def test_beam_time_outside_the_scan_is_refused(self):
         with pytest.raises(InputError, match=r"Invalid beam_time in scan 'x': every time must be in \[0, 1\) s"):
             Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([1.0]), 1.0)
+
+    @pytest.mark.parametrize("angle", ["tilt", "yaw"])
+    @pytest.mark.parametrize("value", [np.nan, np.inf])
+    def test_an_angle_that_is_not_finite_is_refused(self, angle, value):
+        with pytest.raises(InputError, match=rf"Invalid {angle} {value}.* in scan 'x'"):
+            Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([0.0]), 1.0, **{angle: value})
+
+    @pytest.mark.parametrize("beam", [[3, 3], [1], [0, 1, 2]])
+    def test_beam_numbers_that_are_not_one_for_each_are_refused(self, beam):
+        with pytest.raises(InputError, match=r"Invalid beam numbers .* in scan 'x': one for each beam, all different"):
+            Scan("x", np.array([[-1.0, 0, 0]] * 2), np.full(2, 5.0), np.zeros(2), 1.0, beam=np.array(beam))
 
     def test_a_probe_must_be_one(self):
         with pytest.raises(InputError, match=r"Invalid probe 'point' of scan 'x': it must be a Probe"):

@@ -7,7 +7,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import unpack_stress
-from bayes_rs.noise.theory import sample_counts, sonic_moments, theory_noise
+from bayes_rs.noise.theory import _covariance_error, sample_counts, sonic_moments, theory_noise
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 from bayes_rs.turbulence.two_point import radial_covariance
 
@@ -30,6 +30,22 @@ def point_scan(directions, distance=98.0, scan_duration=1.0, times=None):
         beam_time=np.zeros(n) if times is None else times,
         scan_duration=scan_duration,
     )
+
+
+class TestErrorBound:
+    def test_it_is_reached_by_the_worst_error_of_the_allowed_size(self):
+        """A change of C along P C P, whose Frobenius norm is that of N² entries of the error each."""
+        n, error = 12, 1e-6
+        root = np.random.default_rng(8).normal(size=(n, n))
+        covariance, take = root @ root.T, projection(n, "mean")
+        taken = take @ covariance @ take
+        worst = n * error * taken / np.linalg.norm(taken)
+        mean = np.trace(taken) / n
+        before, after = (
+            2.0 * np.linalg.norm(take @ c @ take) ** 2 / (n * mean) ** 2 for c in (covariance, covariance + worst)
+        )
+        bound = _covariance_error(np.array([[before]]), np.array([mean]), error)
+        assert after - before == pytest.approx(bound, rel=1e-5)  # first order in the error
 
 
 class TestAgainstDense:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
-from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
+from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace, toeplitz_inner, toeplitz_trace
 
 
 def dense(diagonals, n_row, n_column):
@@ -17,9 +17,16 @@ def projection(n, detrend):
     return np.eye(n) - basis @ basis.T
 
 
+def gapped_projection(present, detrend):
+    place = np.flatnonzero(present)
+    columns = np.stack([np.ones(len(place)), place], axis=-1)[:, : 1 if detrend == "mean" else 2]
+    basis = np.linalg.qr(columns)[0]
+    return np.eye(len(place)) - basis @ basis.T
+
+
 class TestToeplitz:
     @pytest.mark.parametrize("detrend", ["mean", "linear"])
-    @pytest.mark.parametrize(("n_row", "n_column"), [(7, 7), (5, 9), (40, 39), (3, 4)])
+    @pytest.mark.parametrize(("n_row", "n_column"), [(7, 7), (5, 9), (40, 39), (3, 4), (1, 4), (1, 1)])
     def test_equals_dense_matrices(self, n_row, n_column, detrend):
         first, second = np.random.default_rng(0).normal(size=(2, 3, n_row + n_column - 1))
         left, right = projection(n_row, detrend), projection(n_column, detrend)
@@ -60,3 +67,36 @@ class TestToeplitz:
     def test_refuses_the_wrong_number_of_diagonals(self):
         with pytest.raises(InputError, match=r"a matrix of 3 rows and 3 columns has 5 of them"):
             toeplitz_inner(np.ones(4), np.ones(4), 3, 3)
+
+
+class TestGaps:
+    """Rows and columns that are not there: the dense matrix of those that are."""
+
+    @pytest.mark.parametrize("detrend", ["mean", "linear"])
+    @pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+    def test_equals_dense_matrices(self, shape, detrend):
+        rng = np.random.default_rng(3)
+        diagonals = rng.normal(size=(*shape, 9 + 13 - 1))
+        rows, columns = rng.random((*shape, 9)) < 0.7, rng.random((*shape, 13)) < 0.7
+        found = gapped_inner(diagonals, rows, columns, detrend=detrend)
+        assert found.shape == shape
+        for index in np.ndindex(shape):
+            there = dense(diagonals[index], 9, 13)[np.ix_(rows[index], columns[index])]
+            left, right = (gapped_projection(present[index], detrend) for present in (rows, columns))
+            np.testing.assert_allclose(found[index], np.sum((left @ there @ right) ** 2), atol=1e-10)
+
+    @pytest.mark.parametrize("detrend", ["mean", "linear"])
+    @pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+    def test_trace_equals_dense_matrices(self, shape, detrend):
+        rng = np.random.default_rng(4)
+        diagonals, present = rng.normal(size=(*shape, 21)), rng.random((*shape, 11)) < 0.7
+        found = gapped_trace(diagonals, present, detrend=detrend)
+        assert found.shape == shape
+        for index in np.ndindex(shape):
+            left = gapped_projection(present[index], detrend)
+            there = dense(diagonals[index], 11, 11)[np.ix_(present[index], present[index])]
+            np.testing.assert_allclose(found[index], np.trace(left @ there @ left), atol=1e-10)
+
+    def test_refuses_the_wrong_number_of_diagonals(self):
+        with pytest.raises(InputError, match=r"Invalid diagonals of shape \(4,\): a matrix with row_present of shape"):
+            gapped_inner(np.ones(4), np.ones(3, dtype=bool), np.ones(3, dtype=bool))

@@ -48,11 +48,21 @@ class TestLeastSquares:
             rows = scan.level_direction[valid[record], : 2 + vertical]
             if np.linalg.matrix_rank(rows) < 2 + vertical:
                 assert not found.seen[record]
+                assert np.isnan(found.velocity[record]).all()
+                np.testing.assert_array_equal(found.estimator[record], 0.0)
                 continue
+            np.testing.assert_allclose(found.estimator[record][:, ~valid[record]], 0.0, atol=1e-13)  # rounding
             root = np.sqrt(weights[valid[record]])
             wanted = np.linalg.lstsq(root[:, None] * rows, root * mean[record, valid[record]])[0]
             # the worst set of beams has a condition number of some hundred
             np.testing.assert_allclose(found.velocity[record], wanted, rtol=1e-10, atol=1e-12)
+
+    def test_beams_that_do_not_see_the_wind_have_no_estimator(self):
+        valid = np.eye(6, dtype=bool)[:2] + np.array([[True], [False]])
+        found = solve_wind(np.ones((2, 6)), valid, load_scan("6-beam").level_direction)
+        assert found.seen.tolist() == [True, False]
+        assert np.isnan(found.velocity[1]).all()
+        np.testing.assert_array_equal(found.estimator[1], 0.0)
 
     def test_a_record_is_the_same_in_any_company(self):
         rng = np.random.default_rng(2)
