@@ -57,12 +57,27 @@ class TestLeastSquares:
             # the worst set of beams has a condition number of some hundred
             np.testing.assert_allclose(found.velocity[record], wanted, rtol=1e-10, atol=1e-12)
 
+    def test_each_record_is_solved_with_its_own_directions(self):
+        rng = np.random.default_rng(6)
+        direction = load_scan("6-beam", opening_angle_deg=30.0).level_direction + 0.1 * rng.normal(size=(4, 6, 3))
+        wind = rng.normal(size=(4, 2))
+        valid = np.ones((4, 6), dtype=bool)
+        for lost in ([], [2], [2, 5]):
+            valid[1, lost] = False
+            mean = np.where(valid, np.einsum("rbc,rc->rb", direction[..., :2], wind), np.nan)
+            np.testing.assert_allclose(solve_wind(mean, valid, direction).velocity, wind, rtol=1e-10)
+
     def test_beams_that_do_not_see_the_wind_have_no_estimator(self):
         valid = np.eye(6, dtype=bool)[:2] + np.array([[True], [False]])
         found = solve_wind(np.ones((2, 6)), valid, load_scan("6-beam").level_direction)
         assert found.seen.tolist() == [True, False]
         assert np.isnan(found.velocity[1]).all()
         np.testing.assert_array_equal(found.estimator[1], 0.0)
+
+    def test_a_staring_lidar_has_an_estimator_of_the_speed_only(self):
+        found = horizontal_wind(np.array([[-8.0]]), np.ones((1, 1), dtype=bool), np.array([[-1.0, 0.0, 0.0]]), 0.0)
+        assert (found.speed.item(), found.yaw_seen.item(), found.wind_seen.item()) == (8.0, False, True)
+        np.testing.assert_array_equal(found.estimator, [[[-1.0], [0.0]]])
 
     def test_a_record_is_the_same_in_any_company(self):
         rng = np.random.default_rng(2)
