@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_rs import InputError, compare, load_turbulence, plot_comparison
+from bayes_rs import InputError, compare, load_scan, load_turbulence, plot_comparison
 from bayes_rs.design.comparing import COLUMNS, scan_of
 from bayes_rs.jobs.compare_job import run_compare
 
@@ -71,6 +71,13 @@ class TestTable:
 
 
 class TestScans:
+    def test_a_probe_can_be_given_and_taken_away(self):
+        probe = scan_of("6-beam@probe=pulsed-4-beam-probe").probe
+        assert probe.parameters() == load_scan("pulsed-4-beam-probe").probe.parameters()
+        assert scan_of("pulsed-4-beam-probe@probe=point").probe.parameters() == {}
+        with pytest.raises(InputError, match="no-such-scan"):
+            scan_of("6-beam@probe=no-such-scan")
+
     def test_changes(self):
         scan = scan_of("4-beam@opening_angle_deg=20,focus_distance=49+98")
         assert scan.n_beam == 8

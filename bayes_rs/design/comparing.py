@@ -182,7 +182,8 @@ def scan_of(text: str) -> Scan:
     Parameters
     ----------
     text : str
-        Such as ``"6-beam"`` or ``"6-beam@opening_angle_deg=30,focus_distance=49+98"``.
+        Such as ``"6-beam"`` or ``"6-beam@opening_angle_deg=30,focus_distance=49+98"``; ``probe=point`` takes the probe
+        volume away, ``probe=zx-tm-probe`` gives that of another scan.
 
     Returns
     -------
@@ -203,7 +204,10 @@ def scan_of(text: str) -> Scan:
     options: dict[str, Any] = {}
     for change in filter(None, changes.split(",")):
         key, _, value = change.partition("=")
-        check_choice(key, _OVERRIDES, what=f"change of scan {name!r}")
+        check_choice(key, (*_OVERRIDES, "probe"), what=f"change of scan {name!r}")
+        if key == "probe":
+            options[key] = value if value == "point" else load_scan(value).probe
+            continue
         try:
             numbers = [float(part) for part in value.split("+")]
         except ValueError as error:

@@ -16,10 +16,14 @@ MAD_TO_SIGMA = 1.4826
 def running_median(velocity: FloatArray, group: IntArray, *, window: int) -> FloatArray:
     """Return the median of the `window` samples of the same group about each sample, mirrored at the group's ends."""
     median = np.empty_like(velocity)
+    margin = window // 2
     edges = np.flatnonzero(np.diff(group)) + 1
     for values, out in zip(np.split(velocity, edges), np.split(median, edges), strict=True):
-        if len(values):
+        if len(values) > window:
             out[:] = scipy.ndimage.median_filter(values, size=window, mode="mirror")
+        elif len(values):  # mirrored here: SciPy errs on groups shorter than half of the window
+            longer = np.pad(values, margin, mode="reflect")
+            out[:] = scipy.ndimage.median_filter(longer, size=window)[margin : margin + len(values)]
     return median
 
 

@@ -235,7 +235,7 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
             axis.errorbar(
                 when,
                 bands[2, :, index],
-                yerr=[bands[2, :, index] - bands[0, :, index], bands[4, :, index] - bands[2, :, index]],
+                yerr=np.abs(bands[[0, 4], :, index] - bands[2, :, index]),
                 fmt="o",
                 color=POSTERIOR_COLOUR,
             )
