@@ -10,7 +10,7 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseBank
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
 from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import FLAGS
+from bayes_rs.results.result import FLAGS, flag_words
 from bayes_rs.results.summarizing import summary
 
 
@@ -239,3 +239,15 @@ class TestRefusals:
         scan, noise, _, records = scene
         with pytest.raises(InputError, match="There is no record"):
             fit(records.isel(record=[]), scan, noise=noise, seed=1)
+
+
+def test_a_beam_of_infinite_variance_is_left_out():
+    scan = load_scan("6-beam")
+    noise = plain_noise(scan)
+    variance = np.tile(draw_variances(WeakPrior().draw(1, seed=3), scan, noise, np.random.default_rng(4)), (2, 1))
+    whole = fit(records_of(variance, scan), scan, noise=noise, seed=1, sampler="direct")
+    variance[1, 2] = np.inf
+    result = fit(records_of(variance, scan), scan, noise=noise, seed=1, sampler="direct")
+    assert [flag_words(flag) for flag in result["sample_stats/flag"].values] == ["", "beam_left_out"]
+    np.testing.assert_array_equal(result["posterior/stress"][:, :, 0], whole["posterior/stress"][:, :, 0])
+    assert np.isfinite(result["posterior/stress"].values).all()

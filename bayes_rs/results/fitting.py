@@ -178,7 +178,7 @@ def prepare(
     noise.check_scan(scan)
     _check_duration(records, noise)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
-    used = (records["flag"].values == 0) & (variance > 0.0)
+    used = (records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance)
     own_noise = _own_noise(records, used) if isinstance(instrument_noise, str) else None
     return (
         scan,
