@@ -116,7 +116,7 @@ def posterior(label: str, scan: brs.Scan, variance: np.ndarray, sonic: np.ndarra
     return rows
 
 
-def draw(table: pd.DataFrame) -> Figure:
+def draw(table: pd.DataFrame, n_field: int) -> Figure:
     """Draw means and standard deviations in the paper's layout, a column a stress, with the posteriors' widths."""
     figure = Figure(figsize=(17.0, 15.0), layout="constrained")
     axes = figure.subplots(len(FIGURES) + 1, 6)
@@ -156,7 +156,7 @@ def draw(table: pd.DataFrame) -> Figure:
     place.set_title("uu, 1800 s, five planes (Fig. 8)", fontsize=9)
     place.legend(fontsize=7)
     figure.suptitle(
-        "100 boxes of the study, 600 s: mean ± one standard deviation of least squares (blue); "
+        f"{n_field} boxes of the study, 600 s: mean ± one standard deviation of least squares (blue); "
         "mean and half-width of the 90 % credible interval (orange)"
     )
     return figure
@@ -202,7 +202,7 @@ def main() -> None:
             compared.append(row)
     pd.DataFrame(compared).round(3).to_csv(options.output / "seed-study-boxes-table-1.csv", index=False)
     print(pd.DataFrame(compared).round(2).to_string())
-    draw(table).savefig(options.output / "seed-study-boxes.png", dpi=100)
+    draw(table, options.fields).savefig(options.output / "seed-study-boxes.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -288,7 +288,7 @@ class TestStream:
         files = []
         for number in np.unique(of_file):
             rows = [
-                f"{np.datetime64('2024-03-01T10:00:00') + int(second)},{beam},{second % 7}.5\n"
+                f"{np.datetime64('2024-03-01T10:00:00') + np.timedelta64(int(second), 's')},{beam},{second % 7}.5\n"
                 for second, beam in zip(seconds[of_file == number], beams[of_file == number], strict=True)
             ]
             files.append(tmp_path / f"{number}.csv")

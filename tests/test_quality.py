@@ -547,7 +547,7 @@ class TestRemarks:
         assert np.isfinite(result["posterior/stress"]).all()
         out = make_records(series, scan, quality=brs.QualityRules(min_wind_speed=20.0, exclude=["low_wind"]))
         flags = brs.fit(out, scan, noise=noise, seed=1)["sample_stats/flag"].values
-        assert [brs.flag_words(flag) for flag in flags] == ["no_usable_beam;low_wind"] * 3
+        assert [brs.flag_words(flag) for flag in flags] == ["low_wind;excluded"] * 3
 
     def test_few_samples_a_part(self):
         """Twenty samples a record, as of a slow scan: the checks know or say nothing, and raise no warning."""

@@ -21,6 +21,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.quality import MAD_TO_SIGMA, group_median, is_spike
+from bayes_rs.quality.spikes import running_median
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.records.making import BEAM_FLAGS, RECORD_FLAGS, describe_report, make_records
 
@@ -291,6 +292,18 @@ class TestFilters:
         xr.testing.assert_equal(records, make_records(series_of(seconds[good], beam[good], velocity[good]), SCAN))
         assert report_of(records)["dropped"]["despike"] == len(spikes)
         assert report_of(make_records(series_of(seconds, beam, spoilt), SCAN))["dropped"]["despike"] == 0
+
+    @pytest.mark.parametrize("window", [3, 5, 7, 21])
+    def test_running_median_of_groups_of_any_length(self, window):
+        """Groups as short as one sample, mirrored again and again; the filter of SciPy fails on some of them."""
+        length = np.arange(1, 2 * window)
+        group = np.repeat(length, length)
+        velocity = np.random.default_rng(window).standard_normal(len(group))
+        expected = []
+        for number in length:
+            mirrored = np.pad(velocity[group == number], window // 2, mode="reflect")
+            expected += [statistics.median(mirrored[i : i + window]) for i in range(number)]
+        np.testing.assert_array_equal(running_median(velocity, group, window=window), expected)
 
     def test_despike_against_the_printed_rule(self):
         rng = np.random.default_rng(4)

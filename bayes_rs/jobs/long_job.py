@@ -337,6 +337,7 @@ def run_folder_fit(
         workers=workers,
         seconds=_seconds(("records", "noise", "sampling"), clock),
         n_file=stored.n_file,
+        source_files=json.loads(records.attrs.get("source_files", "[]")),
         bad_files=stored.bad_files,
         read_counts=stored.counts,
     )
