@@ -527,7 +527,8 @@ class TestCorner:
     def test_a_result_that_is_damaged(self, bayes_rs, folder):
         file = folder / "posterior.nc"
         file.write_bytes(file.read_bytes()[:2000])
-        refusal(*bayes_rs("corner", folder), str(file), "cannot be read as NetCDF", "check that it is complete and not damaged")
+        words = ("cannot be read as NetCDF", "check that it is complete and not damaged")
+        refusal(*bayes_rs("corner", folder), str(file), *words)
 
 
 def renamed(table):
