@@ -1,6 +1,5 @@
 """A folder of a few files of radial velocities for tests, and for the processes that tests interrupt and kill."""
 
-import os
 import signal
 import sys
 from pathlib import Path
@@ -55,7 +54,7 @@ def stop_at_write(number, sent):
         if next(count) == number:
             with self.open("rb+") as file:
                 file.truncate(self.stat().st_size // 2)
-            os.kill(os.getpid(), sent)
+            signal.raise_signal(sent)  # to this thread, and at once: os.kill may come a moment later
         return replace(self, target)
 
     Path.replace = replacing
