@@ -70,7 +70,7 @@ def _check_number(
     value: object, rule: Callable[[float], bool], rule_in_words: str, *, what: str, unit: str, where: str
 ) -> float:
     try:
-        number = float(value)  # type: ignore[arg-type]
+        number = float(value)  # type: ignore[arg-type]  # what is no number is refused below
     except (TypeError, ValueError):
         number = np.nan
     if not np.isfinite(number) or not rule(number):

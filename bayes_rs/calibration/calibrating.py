@@ -247,7 +247,7 @@ def _from_theory(
     states: Sequence[RecordState],
     turbulence: MannTurbulence,
     n_boxes: int,  # noqa: ARG001 - theory has neither boxes nor chance
-    seed: int | np.random.Generator,  # noqa: ARG001
+    seed: int | np.random.Generator,  # noqa: ARG001 - as above
     progress: bool | None,
 ) -> list[NoiseModel]:
     return theory_at_states(states, turbulence, progress=progress)

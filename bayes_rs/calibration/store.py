@@ -131,7 +131,7 @@ def from_cache(file: Path, key: str) -> tuple[NoiseModel | NoiseBank | None, str
     """
     try:
         if not is_sealed(file):
-            raise InputError("it is not whole, or of an older version.")  # noqa: TRY301
+            raise InputError("it is not whole, or of an older version.")  # noqa: TRY301 - caught below with the others
         noise = load_noise(file)
     except (FileNotFoundError, NotADirectoryError):
         return None, None

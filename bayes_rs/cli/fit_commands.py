@@ -283,5 +283,5 @@ def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> N
     figure = plot_corner(open_result(folder), record)
     picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
     with output_file(picture, overwrite=overwrite) as part:
-        figure.savefig(part, dpi=130)  # type: ignore[attr-defined]
+        figure.savefig(part, dpi=130)  # type: ignore[attr-defined]  # a whole figure: none was given to draw in
     click.echo(str(picture))

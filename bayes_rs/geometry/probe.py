@@ -141,11 +141,11 @@ class PointProbe(Probe):
         """Return the one node at 0."""
         return np.zeros(1), np.ones(1)
 
-    def difference_rule(self, *, fineness: int = 1) -> Rule:  # noqa: ARG002
+    def difference_rule(self, *, fineness: int = 1) -> Rule:  # noqa: ARG002 - a point has no width
         """Return the one node at 0."""
         return Rule(np.zeros(1), np.zeros(1), np.ones(1))
 
-    def pair_rule(self, *, wide: bool = False, fineness: int = 1) -> Rule:  # noqa: ARG002
+    def pair_rule(self, *, wide: bool = False, fineness: int = 1) -> Rule:  # noqa: ARG002 - a point has no width
         """Return the one node at 0."""
         return self.difference_rule()
 

@@ -111,8 +111,8 @@ def width_table(outcomes: dict[str, Outcome]) -> pd.DataFrame:
 
 
 def _prior_width(outcome: Outcome) -> FloatArray:
-    from bayes_rs.posteriors.diagnostics import highest_density_interval  # noqa: PLC0415
-    from bayes_rs.results.plots import prior_at_size  # noqa: PLC0415
+    from bayes_rs.posteriors.diagnostics import highest_density_interval  # noqa: PLC0415 - slow to load
+    from bayes_rs.results.plots import prior_at_size  # noqa: PLC0415 - slow to load
 
     widths = []
     for record in range(outcome.n_record):
@@ -122,9 +122,9 @@ def _prior_width(outcome: Outcome) -> FloatArray:
 
 
 def _side_by_side(outcomes: dict[str, Outcome], truth: FloatArray) -> Any:
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to load
 
-    from bayes_rs.results.plots import corner_limits, plot_corner  # noqa: PLC0415
+    from bayes_rs.results.plots import corner_limits, plot_corner  # noqa: PLC0415 - slow to load
 
     shown = ("6-beam-45", "50-beam")
     results = [outcomes[name].result for name in shown]

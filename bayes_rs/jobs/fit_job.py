@@ -340,7 +340,7 @@ def noise_of_job(
     if noise_file is not None:
         return load_noise(noise_file)
     from bayes_rs.calibration.choice import noise_for_records  # noqa: PLC0415 - not needed with a file
-    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415
+    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - nor this
 
     flow = load_turbulence(turbulence)
     noise, words = noise_for_records(

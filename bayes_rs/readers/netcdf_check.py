@@ -145,7 +145,7 @@ def check_classic_header(file: Path) -> None:
         raw = opened.read(_MOST_HEADER)
     try:
         if raw[3:4] not in (b"\1", b"\2", b"\5"):
-            raise _DamagedError(f"its version {raw[3:4]!r} is unknown")  # noqa: TRY301
+            raise _DamagedError(f"its version {raw[3:4]!r} is unknown")  # noqa: TRY301 - caught below
         _check(_Header(raw, file.stat().st_size, raw[3]))
     except _DamagedError as error:
         raise InputError(

@@ -278,7 +278,7 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
     if has_time:
         import matplotlib.dates as mdates  # noqa: PLC0415 - only where dates are drawn
 
-        locator = mdates.AutoDateLocator()  # type: ignore[no-untyped-call]
+        locator = mdates.AutoDateLocator()  # type: ignore[no-untyped-call]  # matplotlib has no types here
         axes[-1].xaxis.set_major_locator(locator)
         formatter = mdates.ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
         axes[-1].xaxis.set_major_formatter(formatter)

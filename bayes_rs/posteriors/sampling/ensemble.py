@@ -191,7 +191,7 @@ class RecordSampler:
         return np.take_along_axis(candidate, index[..., None], axis=1)
 
 
-class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]
+class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]  # emcee has no types
     """Independence proposals and differential evolution, each inside a record, from the records' own streams."""
 
     def __init__(
