@@ -21,10 +21,11 @@ def as_generator(seed: int | np.random.Generator) -> np.random.Generator:
     return np.random.default_rng(int(seed))
 
 
-def check_choice(value: str, choices: tuple[str, ...], *, what: str) -> str:
+def check_choice(value: str, choices: tuple[str, ...], *, what: str, of: str = "") -> str:
     """Return `value` if it is one of `choices`."""
     if value not in choices:
-        raise InputError(f"Unknown {what} {value!r}: it must be one of {', '.join(choices)}.")
+        owner = f" of {of}" if of else ""
+        raise InputError(f"Unknown {what} {value!r}{owner}: it must be one of {', '.join(choices)}.")
     return value
 
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from bayes_rs._validation import FloatArray, check_choice, check_count, check_positive
 from bayes_rs.design.estimators import ESTIMATORS, estimate
+from bayes_rs.design.trial_records import even_normals, trial_records
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
@@ -58,7 +57,6 @@ COLUMNS = (
     "n_record",
     "seconds",
 )
-_OVERRIDES = ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_deg")
 
 
 def compare(
@@ -140,7 +138,7 @@ def compare(
     names = tuple(ESTIMATORS) if estimators is None else tuple(estimators)
     for name in names:
         check_choice(name, tuple(ESTIMATORS), what="estimator")
-    loaded = [(scan.name, scan) if isinstance(scan, Scan) else (scan, scan_of(scan)) for scan in scans]
+    loaded = [(scan.name, scan) if isinstance(scan, Scan) else (scan, load_scan(scan)) for scan in scans]
     if not loaded:
         raise InputError("There is no scan to compare: name at least one.")
     flows = [turbulence] if isinstance(turbulence, MannTurbulence) else list(turbulence)
@@ -176,48 +174,6 @@ def compare(
     return _with_ratio(table)
 
 
-def scan_of(text: str) -> Scan:
-    """Load a scan by name, with changes after an ``@``.
-
-    Parameters
-    ----------
-    text : str
-        Such as ``"6-beam"`` or ``"6-beam@opening_angle_deg=30,focus_distance=49+98"``; ``probe=point`` takes the probe
-        volume away, ``probe=zx-tm-probe`` gives that of another scan.
-
-    Returns
-    -------
-    scan : Scan
-        The scan.
-
-    Raises
-    ------
-    InputError
-        If a change is not known or not a number.
-
-    Examples
-    --------
-    >>> scan_of("4-beam@focus_distance=49+98").n_beam
-    8
-    """
-    name, _, changes = text.partition("@")
-    options: dict[str, Any] = {}
-    for change in filter(None, changes.split(",")):
-        key, _, value = change.partition("=")
-        check_choice(key, (*_OVERRIDES, "probe"), what=f"change of scan {name!r}")
-        if key == "probe":
-            options[key] = value if value == "point" else load_scan(value).probe
-            continue
-        try:
-            numbers = [float(part) for part in value.split("+")]
-        except ValueError as error:
-            raise InputError(f"Invalid {key} {value!r} of scan {name!r}: it must be a number.") from error
-        if len(numbers) > 1 and key != "focus_distance":
-            raise InputError(f"Invalid {key} {value!r} of scan {name!r}: only focus distances may be several.")
-        options[key] = numbers if key == "focus_distance" else numbers[0]
-    return load_scan(name, **options)
-
-
 def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
     """Return the stresses that the fit aims at, shape (6,)."""
     if target == "ensemble":
@@ -232,22 +188,11 @@ def _drawn_records(scan: Scan, noise: NoiseModel, truth: FloatArray, target: str
     log_covariance = np.log1p(noise.covariance)
     values, vectors = np.linalg.eigh(log_covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # eigenvalues below zero are rounding
-    power = int(np.ceil(np.log2(count)))
     # the largest directions take the first, best coordinates of the sequence
-    uniform = qmc.Sobol(scan.n_beam, rng=np.random.default_rng(seed)).random_base2(power)[:count, ::-1]
-    normal = ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53))
+    normal = even_normals(count, scan.n_beam, seed)[:, ::-1]
     mean = noise.gain @ truth * (1.0 + (noise.bias if target == "ensemble" else 0.0))
     variance = mean * np.exp(normal @ root.T - 0.5 * np.diag(log_covariance))
-    return xr.Dataset(
-        {
-            "variance": (("record", "beam"), variance),
-            "flag": (("record", "beam"), np.zeros(variance.shape, dtype=np.int64)),
-            "wind_speed": ("record", np.full(count, noise.wind_speed)),
-            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw))),
-        },
-        coords={"beam": scan.beam},
-        attrs={"duration": noise.duration, "scan": scan.name, "scan_key": scan.key},
-    )
+    return trial_records(scan, noise, variance)
 
 
 def _simulated_records(

@@ -331,8 +331,7 @@ def _relative_covariance(
         for name in ("length_scale", "gamma")
         if name in records
     }
-    bank = noise if isinstance(noise, NoiseBank) else None
-    at_record = noise.for_records(speed, yaw[known]) if bank is None else bank.for_records(speed, yaw[known], **own)
+    at_record = noise.for_records(speed, yaw[known], **own)
     relative[known] = at_record.covariance
     return relative, int(np.count_nonzero(at_record.outside))
 
@@ -376,11 +375,10 @@ def _checked_noise(records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBan
         )
     chosen = noise.select(scan.beam)
     chosen.check_scan(scan)
-    duration = chosen.models[0].duration if isinstance(chosen, NoiseBank) else chosen.duration
-    of_records = float(records.attrs.get("duration", duration))
-    if not np.isclose(of_records, duration):
+    of_records = float(records.attrs.get("duration", chosen.duration))
+    if not np.isclose(of_records, chosen.duration):
         raise InputError(
-            f"The records last {of_records:g} s and the noise is for records of {duration:g} s: "
+            f"The records last {of_records:g} s and the noise is for records of {chosen.duration:g} s: "
             "calibrate the noise for the records' duration."
         )
     return chosen

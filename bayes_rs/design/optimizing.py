@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from bayes_rs._validation import (
     FloatArray,
@@ -22,8 +20,10 @@ from bayes_rs._validation import (
     check_positive,
 )
 from bayes_rs.design.scan_criteria import PosteriorCriterion, ScanCriterion, TraceCriterion, make_criterion
-from bayes_rs.design.scan_limits import ScanLimits, free_arcs, largest_angle, largest_opening
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.design.scan_limits import ScanLimits, free_arcs, largest_opening
+from bayes_rs.design.scan_optimum import ScanOptimum, beam_angles_deg
+from bayes_rs.design.scan_search import ScanSearch, different_ends, value_at
+from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
@@ -33,107 +33,11 @@ from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress
 from bayes_rs.turbulence.mann import MannTurbulence
 
+__all__ = ["ScanOptimum", "optimize_scan", "scan_criterion"]
+
 AXES = ("upwind", "up")
 PLANES = ("simultaneous", "sequential")
-SAME_OPTIMUM = 1e-3
-"""Starts whose criterion is above the best by no more than this part of it have found the same optimum."""
-_POOL = 16  # random scans that compete for each start
 _POLISHED = 2  # the best starts, different ones, that are followed with the exact criterion
-_STEP, _EXACT_STEP = 1e-6, 1e-3  # rad, forward differences; the exact noise is piecewise smooth only
-_MOST_STEPS, _MOST_EXACT_STEPS = 300, 12
-_HIGHEST = 60.0  # stands for the logarithm of an infinite criterion
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ScanOptimum:
-    """The best scan that was found, and how well the search converged.
-
-    Parameters
-    ----------
-    scan : Scan
-        The scan; `save_scan` writes it to a file.
-    criterion : str
-        Name of the criterion.
-    meaning : str
-        The criterion in words.
-    value : float
-        Criterion of the scan, exact.
-    by_state : dict of str to float
-        Its value in each turbulence; the criterion is the largest.
-    starts : ndarray, shape (n_start,)
-        What each start has reached in the search, increasing.
-    polished : ndarray, shape (n_polished,)
-        Exact values that the best starts have reached in the end.
-    references : dict of str to float
-        Exact criterion of well-known scans with as many beams, the same focus distances and timing.
-    outside : tuple of str
-        Those of the references that break a limit.
-    n_evaluations, n_exact : int
-        How often the criterion was evaluated in the search, and how often exactly.
-    seconds : float
-        How long it took.
-    widths : dict of str to float
-        Expected widths of the stresses' 90 % intervals over uu, the largest over the states; none for ``"trace"``.
-    by_number : dict of int to float
-        Criterion of the best scan of each number of beams, where several were tried.
-    details : dict
-        What was asked for.
-    """
-
-    scan: Scan
-    criterion: str
-    meaning: str
-    value: float
-    by_state: dict[str, float]
-    starts: FloatArray
-    polished: FloatArray
-    references: dict[str, float]
-    outside: tuple[str, ...]
-    n_evaluations: int
-    n_exact: int
-    seconds: float
-    widths: dict[str, float] = field(default_factory=dict)
-    by_number: dict[int, float] = field(default_factory=dict)
-    details: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def n_agree(self) -> int:
-        """Number of starts that reached the best one's value to 0.1 %."""
-        return int(np.count_nonzero(self.starts <= self.starts[0] * (1.0 + SAME_OPTIMUM)))
-
-    @property
-    def spread(self) -> float:
-        """How far the median start stayed above the best, relative to it."""
-        return float(np.median(self.starts) / self.starts[0] - 1.0)
-
-    @property
-    def angles_deg(self) -> FloatArray:
-        """Opening angle φ and θ of each beam of the first plane, shape (n_beams, 2), degrees."""
-        return _angles_deg(self.scan, int(self.details["n_beams"]), str(self.details["axis"]))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values, for a JSON file."""
-        return {
-            "criterion": self.criterion,
-            "meaning": self.meaning,
-            "value": self.value,
-            "by_state": self.by_state,
-            "widths_over_uu": self.widths,
-            "by_number": {str(number): value for number, value in self.by_number.items()},
-            "beams": [
-                {"opening_angle_deg": opening, "phase_deg": phase} for opening, phase in self.angles_deg.tolist()
-            ],
-            "starts": self.starts.tolist(),
-            "starts_at_the_best": self.n_agree,
-            "spread": self.spread,
-            "polished": self.polished.tolist(),
-            "references": self.references,
-            "references_outside_the_limits": list(self.outside),
-            "n_evaluations": self.n_evaluations,
-            "n_exact": self.n_exact,
-            "seconds": self.seconds,
-            "asked_for": self.details,
-        }
 
 
 def optimize_scan(
@@ -312,7 +216,7 @@ def optimize_scan(
         visits = n_beams * (len(distances) if planes == "sequential" else 1)
         scan_duration = visits * check_positive(dwell, what="dwell", unit="s")
     frame = _frame(n_beams, distances, scan_duration, planes, limits, probe)
-    search = _Search(scale, frame, len(distances))
+    search = ScanSearch(scale, frame, len(distances))
     per_shape = [n_starts // len(shapes) + (index < n_starts % len(shapes)) for index in range(len(shapes))]
     jobs = [
         (shape, variables, cone)
@@ -330,7 +234,7 @@ def optimize_scan(
     if criterion == "trace":
         best, polished = ends[0], [ends[0]]
     else:
-        chosen = _different(ends)[:_POLISHED]
+        chosen = different_ends(ends)[:_POLISHED]
         polished = [search.polish(end) for end in progress(chosen, len(chosen), "polishing", disable=silent)]
         best = min(polished, key=lambda end: end.value)
     direction = best.direction
@@ -450,166 +354,6 @@ def scan_criterion(
     return float(np.max(scale.exact(scan)))
 
 
-@dataclass(frozen=True)
-class _End:
-    """Where a search has ended."""
-
-    value: float
-    limits: ScanLimits
-    variables: FloatArray
-    cone: NDArray[np.int64]
-
-    @property
-    def direction(self) -> FloatArray:
-        return self.limits.directions(self.variables, self.cone)
-
-
-class _Search:
-    """Local searches for one criterion; counts its evaluations."""
-
-    def __init__(self, scale: ScanCriterion, frame: Scan, n_plane: int) -> None:
-        self.scale, self.frame, self.n_plane = scale, frame, n_plane
-        self.n_fast = self.n_exact = 0
-
-    def scan(self, direction: FloatArray) -> Scan:
-        """Return the scan with these beams (n_beams, 3)."""
-        return replace(self.frame, beam_direction=_unit(np.tile(direction, (self.n_plane, 1))))
-
-    def fast(self, direction: FloatArray) -> FloatArray:
-        """Return ln f of many scans, shape (n, n_state); directions (n, n_beams, 3)."""
-        self.n_fast += len(direction)
-        return _logarithm(self.scale.fast(np.tile(direction, (1, self.n_plane, 1)), self.frame))
-
-    def exact(self, direction: FloatArray) -> FloatArray:
-        """Return ln f of scans, shape (n, n_state), one after the other."""
-        self.n_exact += len(direction)
-        values = np.empty((len(direction), len(self.scale.states)))
-        for row, one in zip(values, direction, strict=True):
-            try:
-                row[:] = self.scale.exact(self.scan(one))
-            except NotPositiveDefiniteError:  # beams too close to each other for the tolerance of the noise
-                row[:] = np.inf
-        return _logarithm(values)
-
-    def starts(
-        self, limits: ScanLimits, rng: np.random.Generator, count: int
-    ) -> list[tuple[FloatArray, NDArray[np.int64]]]:
-        """Return the best of each 16 random scans."""
-        if count == 0:
-            return []
-        variables, cone = limits.draw(rng, _POOL * count)
-        worst = np.concatenate(
-            [
-                self.fast(
-                    np.array(
-                        [limits.directions(row, own) for row, own in zip(variables[part], cone[part], strict=True)]
-                    )
-                ).max(axis=1)
-                for part in np.array_split(np.arange(len(variables)), max(count // 4, 1))
-            ]
-        )
-        best = np.argmin(worst.reshape(count, _POOL), axis=1) + _POOL * np.arange(count)
-        return [(variables[index], cone[index]) for index in best.tolist()]
-
-    def descend(self, limits: ScanLimits, start: FloatArray, cone: NDArray[np.int64]) -> _End:
-        """Search from a start with the fast criterion."""
-        return self._run(self.fast, limits, start, cone, step=_STEP, most=_MOST_STEPS, precision=1e-13)
-
-    def polish(self, end: _End) -> _End:
-        """Go on with the exact criterion."""
-        return self._run(
-            self.exact,
-            end.limits,
-            end.variables,
-            end.cone,
-            step=_EXACT_STEP,
-            most=_MOST_EXACT_STEPS,
-            precision=1e-7,
-        )
-
-    def _run(
-        self,
-        values: Callable[[FloatArray], FloatArray],
-        limits: ScanLimits,
-        start: FloatArray,
-        cone: NDArray[np.int64],
-        *,
-        step: float,
-        most: int,
-        precision: float,
-    ) -> _End:
-        """Minimize t subject to ln f_s(variables) ≤ t (or ln f alone for one state) by SLSQP."""
-        n, n_state = len(start), len(self.scale.states)
-        last: dict[str, Any] = {"at": None}
-        shifts = step * np.concatenate([np.zeros((1, n)), np.eye(n)])
-
-        def evaluate(variables: FloatArray) -> tuple[FloatArray, FloatArray]:
-            if last["at"] is None or not np.array_equal(last["at"], variables):
-                f = values(limits.directions(variables + shifts, cone))
-                last.update(at=variables.copy(), f=f[0], g=(f[1:] - f[0]).T / step)
-            return last["f"], last["g"]
-
-        bounds = limits.bounds(start)
-        rules = _limit_rules(limits, start, cone)
-        lower, upper = np.array(bounds).T
-        inside = np.clip(start, lower, upper)
-        solve: Any = minimize  # its stubs know no constraints with slopes of several rows
-        options = {"maxiter": most, "ftol": precision}
-        if n_state == 1:
-            done = solve(
-                lambda z: (float(evaluate(z)[0][0]), evaluate(z)[1][0]),
-                inside,
-                jac=True,
-                method="SLSQP",
-                bounds=bounds,
-                constraints=rules,
-                options=options,
-            )
-        else:
-            rules = [{"type": "ineq", "fun": lambda z, rule=rule: rule["fun"](z[:-1])} for rule in rules]
-            rules.append(
-                {
-                    "type": "ineq",
-                    "fun": lambda z: z[-1] - evaluate(z[:-1])[0],
-                    "jac": lambda z: np.column_stack([-evaluate(z[:-1])[1], np.ones(n_state)]),
-                }
-            )
-            done = solve(
-                lambda z: (float(z[-1]), np.append(np.zeros(n), 1.0)),
-                np.append(inside, np.max(evaluate(inside)[0])),
-                jac=True,
-                method="SLSQP",
-                bounds=[*bounds, (-np.inf, np.inf)],
-                constraints=rules,
-                options=options,
-            )
-        found = np.clip(np.asarray(done.x, dtype=np.float64)[:n], lower, upper)
-        ends = [
-            (float(np.max(values(limits.directions(one, cone)[np.newaxis])[0])), one)
-            for one in (found, inside)
-            if np.all(np.isfinite(one)) and limits.feasible(limits.directions(one, cone), one, cone)
-        ]
-        height, best = min(ends, key=lambda pair: pair[0])
-        return _End(float(np.exp(height)) if height < _HIGHEST else np.inf, limits, best, cone)
-
-
-def _limit_rules(limits: ScanLimits, start: FloatArray, cone: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Return the limits that are not bounds, as inequalities; the pair that spans the spread is that of the start."""
-    rules: list[dict[str, Any]] = []
-    if limits.min_elevation is not None:
-        rules.append({"type": "ineq", "fun": lambda z: limits.elevation_margin(limits.directions(z, cone))})
-    if limits.min_spread > 0.0:
-        _, first, second = largest_angle(limits.directions(start, cone))
-        most = np.cos(limits.min_spread)
-
-        def spread(z: FloatArray) -> float:
-            direction = limits.directions(z, cone)
-            return float(most - direction[first] @ direction[second])
-
-        rules.append({"type": "ineq", "fun": spread})
-    return rules
-
-
 def _shapes(limits: ScanLimits, cones: int | None, centre: bool | None, criterion: str) -> list[ScanLimits]:
     """Return the kinds of scans to search: with and without a beam along the axis where both are to be tried."""
     if cones is not None:
@@ -667,7 +411,7 @@ def _frame(
     )
 
 
-def _references(search: _Search, limits: ScanLimits) -> tuple[dict[str, float], tuple[str, ...]]:
+def _references(search: ScanSearch, limits: ScanLimits) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return the criterion of well-known scans of as many beams, and which of them break a limit."""
     n, widest = limits.n_beams, limits.max_angle
     degrees = f"{np.rad2deg(widest):.4g}"
@@ -686,8 +430,8 @@ def _references(search: _Search, limits: ScanLimits) -> tuple[dict[str, float], 
     if not limits.upward:
         for name in preset_names("scans"):
             preset = load_scan(name)
-            if preset.n_beam == n and not name.endswith(("-planes", "-probe")):
-                angles = np.deg2rad(_angles_deg(preset, n, "upwind"))
+            if preset.n_beam == n and not name.endswith("-planes"):
+                angles = np.deg2rad(beam_angles_deg(preset, n, "upwind"))
                 kinds[f"{name} as shipped"] = (angles[:, 0], angles[:, 1])
     values: dict[str, float] = {}
     outside = []
@@ -696,19 +440,10 @@ def _references(search: _Search, limits: ScanLimits) -> tuple[dict[str, float], 
         variables = np.concatenate([opening, phase])
         direction = free.directions(variables, own)
         height = float(np.max(search.exact(direction[np.newaxis])))
-        values[name] = float(np.exp(height)) if height < _HIGHEST else np.inf
+        values[name] = value_at(height)
         if not free.feasible(direction, variables, own):
             outside.append(name)
     return values, tuple(outside)
-
-
-def _different(ends: Sequence[_End]) -> list[_End]:
-    """Leave out ends that have the value of a better one, to five digits: mostly the same scan, or its mirror image."""
-    kept: list[_End] = []
-    for end in ends:
-        if all(abs(end.value / other.value - 1.0) > 1e-5 for other in kept):
-            kept.append(end)
-    return kept
 
 
 def _scene_details(scale: ScanCriterion) -> dict[str, Any]:
@@ -724,23 +459,3 @@ def _scene_details(scale: ScanCriterion) -> dict[str, Any]:
         "prior": scale.prior.in_words(),
         "weights": dict(zip(STRESSES, scale.weights.tolist(), strict=True)),
     }
-
-
-def _angles_deg(scan: Scan, n_beams: int, axis: str) -> FloatArray:
-    """Return φ and θ of the first beams, degrees; θ is 0 for a beam along the axis."""
-    vector = scan.beam_direction[:n_beams]
-    ahead, side, up = -vector[:, 0], vector[:, 1], vector[:, 2]
-    if axis == "up":
-        ahead, side, up = vector[:, 2], vector[:, 0], vector[:, 1]
-    across = np.hypot(side, up)
-    phase = np.where(across > 1e-9, np.mod(np.arctan2(up, side), 2.0 * np.pi), 0.0)
-    return np.asarray(np.rad2deg(np.stack([np.arctan2(across, ahead), phase], axis=-1)))
-
-
-def _logarithm(values: FloatArray) -> FloatArray:
-    finite = np.isfinite(values) & (values > 0.0)
-    return np.asarray(np.where(finite, np.log(np.where(finite, values, 1.0)), _HIGHEST))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

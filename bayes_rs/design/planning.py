@@ -10,6 +10,7 @@ from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.noise.theory import theory_noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN
 from bayes_rs.priors.registry import Prior, make_prior
@@ -138,7 +139,7 @@ def _noise_steps(noise: NoiseModel) -> list[Step]:
         probe = Step(
             "probe volume",
             "integrated along every beam",
-            f"the probe takes up to {100.0 * noise.details['probe_loss']:.2g} % of a variance",
+            probe_words(noise, [noise.wind_speed], [noise.yaw]).removeprefix("probe volume: "),
             f"{noise.details['probe_error']:.1g} of the largest entry of K",
         )
     return [

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy.special import ndtri
-from scipy.stats import qmc
 
-from bayes_rs._validation import FloatArray, as_generator, check_array, check_choice, check_count, check_positive
+from bayes_rs._validation import FloatArray, check_array, check_choice, check_count, check_positive
 from bayes_rs.design.comparing import posterior_rows, truth_of
+from bayes_rs.design.trial_records import even_normals, trial_records
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import RANK_TOLERANCE, sight
 from bayes_rs.geometry.probe import PointProbe, Probe
@@ -156,7 +155,7 @@ def trade_off(
     check_count(n_records, what="n_records", minimum=2)
     chosen = make_prior(prior)
     cells = list(product(counts, kinds, angles, distances, durations))
-    errors = _even_errors(n_records, seed)
+    errors = even_normals(n_records, len(STRESSES), seed)  # the same for every scan, so that scans compare
     silent = None if show_progress is None else not show_progress
     rows: list[dict[str, Any]] = []
     for cell in progress(cells, len(cells), "trade-off", disable=silent):
@@ -170,13 +169,6 @@ def trade_off(
     if len(counts) > 1:
         table.attrs["enough_beams"] = enough_beams(table).to_dict("records")
     return table
-
-
-def _even_errors(n_records: int, seed: int) -> FloatArray:
-    """Return standard normal numbers, evenly, shape (n_records, 6): the same for every scan, so that scans compare."""
-    power = int(np.ceil(np.log2(n_records)))
-    uniform = qmc.Sobol(len(STRESSES), rng=as_generator(seed)).random_base2(power)[:n_records]
-    return np.asarray(ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
 
 
 def _widths(
@@ -212,17 +204,7 @@ def _explained_records(scan: Scan, noise: NoiseModel, truth: FloatArray, errors:
     # the polar factor, unlike the singular vectors, changes as smoothly as the scan does
     spread = root @ left[:, kept] @ right[kept]
     variance = expected * np.exp(errors @ spread.T - 0.5 * np.diag(log_covariance))
-    count = len(errors)
-    return xr.Dataset(
-        {
-            "variance": (("record", "beam"), variance),
-            "flag": (("record", "beam"), np.zeros(variance.shape, dtype=np.int64)),
-            "wind_speed": ("record", np.full(count, noise.wind_speed)),
-            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw))),
-        },
-        coords={"beam": scan.beam},
-        attrs={"duration": noise.duration, "scan": scan.name, "scan_key": scan.key},
-    )
+    return trial_records(scan, noise, variance)
 
 
 def cone_scan(

@@ -86,6 +86,39 @@ class Likelihood(ABC):
         return cast("Self", replace(whole, **arrays))
 
 
+class NormalLikelihood(Likelihood):
+    """A likelihood whose data are normal, or Student-t, about what the stresses say, once they are reduced."""
+
+    @abstractmethod
+    def _whiten(
+        self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return normal residuals (n_record, n_draw, n_seen) and the log of the density's factor, along the records.
+
+        Both are NaN where a tensor gives a beam no variance, or a negative one.
+        """
+
+    def log_density(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the log-likelihood, shape (n_record, n_draw); see `Likelihood`.
+
+        For points, a tensor that gives a beam no variance is one of rank one across the beam, to rounding; with a probe
+        volume the gain is interpolated, and is a positive form only up to the error of the interpolation.
+        """
+        with np.errstate(invalid="ignore"):
+            residual, log_factor = self._whiten(stress, offset, gradient)
+            square = np.einsum("rds,rds->rd", residual, residual)
+            density = log_factor - half_square(square, self.n_datum, self.dof)
+        return np.where(np.isfinite(density), density, -np.inf)
+
+    def whitened_residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
+        """Return residuals, shape (n_record, n_draw, n_seen); see `Likelihood`."""
+        return with_tails(self._whiten(stress, offset, gradient)[0], self.n_datum, self.dof)
+
+
 def expected_signal(
     stress: FloatArray, gain: FloatArray, place: FloatArray | None, gradient: FloatArray | None
 ) -> FloatArray:
@@ -126,6 +159,11 @@ class BeamData:
         """Return what of the data stresses and gradients can move, where E[y] is `scale`; see `seen_directions`."""
         relative = self.gain / scale[:, :, None]
         return seen_directions(relative if self.place is None else np.concatenate([relative, self.place], axis=-1))
+
+    def reference_variance(self, reference: FloatArray | None) -> FloatArray:
+        """Return expected variances to reduce the data at: given ones (n_beam,), or those of `REFERENCE_STRESS`."""
+        level = self.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, self.variance.shape)
+        return np.where(self.used, level, 1.0)
 
 
 def beam_data(
@@ -200,6 +238,39 @@ def factor_reduced(reduced: FloatArray, seen: NDArray[np.bool_], n_beam: int, *,
             smallest_eigenvalue=float(smallest[worst]),
         )
     return np.asarray(np.linalg.cholesky(whole))
+
+
+def whiten_reduced(
+    reduced: FloatArray, left: FloatArray, seen: NDArray[np.bool_], *, what: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return what turns data into reduced data of unit covariance, and the log-determinants of what they had.
+
+    Parameters
+    ----------
+    reduced : ndarray, shape (n_record, n_seen, n_seen)
+        Covariances of the reduced data leftᵀ y.
+    left : ndarray, shape (n_record, n_beam, n_seen)
+        What reduces them.
+    seen : ndarray of bool, shape (n_record, n_seen)
+        Which directions a record has.
+    what : str
+        Their name, for the message.
+
+    Returns
+    -------
+    whitening : ndarray, shape (n_record, n_seen, n_beam)
+        W: L⁻¹ leftᵀ, with L the Cholesky factor.
+    log_determinant : ndarray, shape (n_record,)
+        ln det of the reduced covariances.
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        As `factor_reduced`.
+    """
+    factor = factor_reduced(reduced, seen, left.shape[1], what=what)
+    whitening = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2)), dtype=np.float64)
+    return whitening, np.asarray(2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1))
 
 
 def unit_pivots(seen: NDArray[np.bool_]) -> FloatArray:

@@ -14,12 +14,11 @@ from bayes_rs.likelihoods.base import (
     REFERENCE_STRESS,
     BeamData,
     Likelihood,
+    NormalLikelihood,
     beam_data,
     check_tails,
-    factor_reduced,
-    half_square,
     log_normalizer,
-    with_tails,
+    whiten_reduced,
 )
 from bayes_rs.likelihoods.plugin import plugin_likelihood
 from bayes_rs.likelihoods.power import power_likelihood
@@ -38,7 +37,7 @@ _BLOCK = 65_536
 
 
 @dataclass(frozen=True)
-class LogNormalLikelihood(Likelihood):
+class LogNormalLikelihood(NormalLikelihood):
     """ln y is normal about ln E[y] − ½ diag C with C = ln(1 + K), after reduction to what the stresses can move.
 
     Parameters
@@ -73,30 +72,9 @@ class LogNormalLikelihood(Likelihood):
     dof: float = np.inf
     place: FloatArray | None = None
 
-    def whitened_residual(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
-        return with_tails(self._normal_residual(stress, offset, gradient), self.n_datum, self.dof)
-
-    def log_density(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6).
-
-        A tensor for which a beam's expected variance is not positive has likelihood zero. For points that is a tensor
-        of rank one across the beam, to rounding; with a probe volume the gain is interpolated, and is a positive form
-        only up to the error of the interpolation.
-        """
-        with np.errstate(invalid="ignore"):
-            residual = self._normal_residual(stress, offset, gradient)
-            square = np.einsum("rds,rds->rd", residual, residual)
-            density = self.log_normalizer[:, None] - half_square(square, self.n_datum, self.dof)
-        return np.where(np.isfinite(density), density, -np.inf)
-
-    def _normal_residual(
+    def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
-    ) -> FloatArray:
+    ) -> tuple[FloatArray, FloatArray]:
         n_draw, n_beam = stress.shape[1], self.gain.shape[1]
         residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
         n_together = max(1, _BLOCK // max(1, n_draw * n_beam))
@@ -112,10 +90,10 @@ class LogNormalLikelihood(Likelihood):
                 mean += self.offset[part, None, :]
                 if offset is not None:
                     mean += offset[part, draws, None]
-                with np.errstate(invalid="ignore", divide="ignore"):  # see log_density
+                with np.errstate(invalid="ignore", divide="ignore"):  # see NormalLikelihood
                     log_mean = np.log(mean, out=mean)
                 residual[part, draws] = self.datum[part, None, :] - log_mean @ whitening
-        return residual
+        return residual, self.log_normalizer[:, None]
 
 
 def log_normal_likelihood(
@@ -169,8 +147,7 @@ def log_normal_likelihood(
     check_tails(inflation, dof)
     data = beam_data(variance, used, gain, offset, place)
     log_covariance = inflation * np.log1p(data.relative_covariance(covariance))
-    level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
-    left, seen = data.seen_directions(np.where(used, level, 1.0))
+    left, seen = data.seen_directions(data.reference_variance(reference))
     return _log_normal(
         data,
         left,
@@ -236,11 +213,9 @@ def _log_normal(
     dof: float,
 ) -> LogNormalLikelihood:
     """Whiten the reduced data."""
-    factor = factor_reduced(reduced, seen, data.variance.shape[1], what="log-covariance")
-    whitening = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2)), dtype=np.float64)
+    whitening, log_determinant = whiten_reduced(reduced, left, seen, what="log-covariance")
     log_y = np.log(data.variance) + 0.5 * log_variance
     n_datum = seen.sum(axis=1).astype(np.int64)
-    log_determinant = 2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1)
     return LogNormalLikelihood(
         gain=data.gain,
         offset=data.offset,

@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.likelihoods.base import (
-    REFERENCE_STRESS,
     BeamData,
-    Likelihood,
+    NormalLikelihood,
     beam_data,
     check_tails,
     expected_signal,
-    factor_reduced,
-    half_square,
     log_normalizer,
-    with_tails,
+    whiten_reduced,
 )
 from bayes_rs.priors.registry import N_COORDINATE, WeakPrior
 
@@ -28,7 +25,7 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True)
-class PluginLikelihood(Likelihood):
+class PluginLikelihood(NormalLikelihood):
     """y is normal about E[y] with covariance D K D, D = diag of fitted variances, after reduction.
 
     Parameters
@@ -70,29 +67,17 @@ class PluginLikelihood(Likelihood):
     place: FloatArray | None = None
     projection: FloatArray | None = None
 
-    def log_density(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
-        residual = self._normal_residual(stress, offset, gradient)
-        square = np.einsum("rds,rds->rd", residual, residual)
-        return np.asarray(self.log_normalizer[:, None] - half_square(square, self.n_datum, self.dof))
-
-    def whitened_residual(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6)."""
-        return with_tails(self._normal_residual(stress, offset, gradient), self.n_datum, self.dof)
-
-    def _normal_residual(
+    def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
-    ) -> FloatArray:
+    ) -> tuple[FloatArray, FloatArray]:
         if self.projection is not None and gradient is not None:
             signal = expected_signal(stress, self.gain, self.place, gradient)
             residual = self.datum[:, None, :] - signal @ self.projection.swapaxes(-1, -2)
         else:
             residual = self.datum[:, None, :] - stress @ self.response.swapaxes(-1, -2)
-        return np.asarray(residual if offset is None else residual - offset[:, :, None] * self.floor[:, None, :])
+        if offset is not None:
+            residual = residual - offset[:, :, None] * self.floor[:, None, :]
+        return np.asarray(residual), self.log_normalizer[:, None]
 
 
 def plugin_likelihood(
@@ -131,11 +116,10 @@ def plugin_likelihood(
     relative = inflation * data.relative_covariance(covariance)
     fitted = fitted_variance(data, relative, reference)
     left, seen = data.seen_directions(fitted)
-    factor = factor_reduced(left.swapaxes(-1, -2) @ relative @ left, seen, variance.shape[1], what="covariance")
-    scaled = np.asarray(np.linalg.solve(factor, left.swapaxes(-1, -2) / fitted[:, None, :]), dtype=np.float64)
-    n_datum = seen.sum(axis=1).astype(np.int64)
     # the density of Uᵀ D⁻¹ y; D is fixed, so its determinant would only be another constant
-    log_determinant = 2.0 * np.log(np.einsum("rss->rs", factor)).sum(axis=1)
+    reduced = left.swapaxes(-1, -2) @ relative @ left
+    scaled, log_determinant = whiten_reduced(reduced, left / fitted[:, :, None], seen, what="covariance")
+    n_datum = seen.sum(axis=1).astype(np.int64)
     return PluginLikelihood(
         gain=data.gain,
         offset=data.offset,
@@ -158,11 +142,8 @@ def fitted_variance(data: BeamData, covariance: FloatArray, reference: FloatArra
     realizable tensor, always positive.
     """
     prior = WeakPrior()
-    n_record, n_beam = data.variance.shape
-    scale = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, data.variance.shape)
-    left, seen = data.seen_directions(np.where(data.used, scale, 1.0))
-    factor = factor_reduced(left.swapaxes(-1, -2) @ covariance @ left, seen, n_beam, what="covariance")
-    whitening = np.linalg.solve(factor, left.swapaxes(-1, -2))
+    left, seen = data.seen_directions(data.reference_variance(reference))
+    whitening, _ = whiten_reduced(left.swapaxes(-1, -2) @ covariance @ left, left, seen, what="covariance")
     log_y = np.log(data.variance)
     n_used = data.used.sum(axis=1)
     n = N_COORDINATE + (0 if data.place is None else data.place.shape[-1])
@@ -171,7 +152,7 @@ def fitted_variance(data: BeamData, covariance: FloatArray, reference: FloatArra
         stress, gradient = prior.stress(coordinate[..., :N_COORDINATE]), coordinate[..., N_COORDINATE:]
         return expected_signal(stress, data.gain, data.place, gradient) + data.offset[:, None, :]
 
-    coordinate = np.zeros((n_record, n))
+    coordinate = np.zeros((len(data.variance), n))
     level = np.where(
         data.used, log_y - np.log(data.gain @ prior.stress(coordinate[0, :N_COORDINATE]) + data.offset), 0.0
     )

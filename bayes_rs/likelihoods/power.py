@@ -10,16 +10,13 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.likelihoods.base import (
-    REFERENCE_STRESS,
-    Likelihood,
+    NormalLikelihood,
     beam_data,
     check_tails,
     expected_signal,
     factor_reduced,
-    half_square,
     log_normalizer,
     unit_pivots,
-    with_tails,
 )
 
 _CUBE_ROOT = 1.0 / 3.0
@@ -30,7 +27,7 @@ _NUMBERS = 2_000_000
 
 
 @dataclass(frozen=True)
-class PowerLikelihood(Likelihood):
+class PowerLikelihood(NormalLikelihood):
     """y^p is normal, with mean μ m^p and covariance diag(m^p) C diag(m^p), after reduction; m = E[y] depends on R.
 
     Parameters
@@ -56,6 +53,7 @@ class PowerLikelihood(Likelihood):
     -----
     The statistic z is a fixed function of the data, so that its density at different R may be compared: it is normal
     with mean Uᵀ q μ and covariance Uᵀ diag(q) C diag(q) U, q = (m/m₀)^p, and the determinant of that covariance counts.
+    It has no part in the residuals: its logarithm is nearly linear in ln R, and adds no curvature.
 
     p = 1: μ = 1 and C = K, the moments of the noise model as they are; y itself is Gaussian.
 
@@ -83,30 +81,9 @@ class PowerLikelihood(Likelihood):
     dof: float = np.inf
     place: FloatArray | None = None
 
-    def log_density(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the log-likelihood, shape (n_record, n_draw), of stresses (n_record, n_draw, 6)."""
-        residual, log_determinant = self._whiten(stress, offset, gradient)
-        with np.errstate(invalid="ignore"):
-            square = np.einsum("rds,rds->rd", residual, residual)
-            density = log_normalizer(self.n_datum[:, None], log_determinant, self.dof)
-            density = density - half_square(square, self.n_datum, self.dof)
-        return np.where(np.isfinite(density), density, -np.inf)
-
-    def whitened_residual(
-        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the whitened residuals, shape (n_record, n_draw, n_seen), of stresses (n_record, n_draw, 6).
-
-        The determinant has no part in them: its logarithm is nearly linear in ln R, and adds no curvature.
-        """
-        return with_tails(self._whiten(stress, offset, gradient)[0], self.n_datum, self.dof)
-
     def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return whitened residuals (n_record, n_draw, n_seen) and log-determinants; NaN where m is not positive."""
         n_draw, n_root, n_seen = stress.shape[1], self.root.shape[2], self.left.shape[2]
         residual, log_determinant = np.empty((*stress.shape[:2], n_seen)), np.empty(stress.shape[:2])
         step = max(1, _NUMBERS // max(1, n_draw * n_root * n_seen))
@@ -125,7 +102,7 @@ class PowerLikelihood(Likelihood):
             covariance = (spread * self.sign[part, None, None, :]) @ spread.swapaxes(-1, -2)
             covariance += unit_pivots(self.seen[part])[:, None]
             residual[part], log_determinant[part] = _whitened(covariance, difference)
-        return residual, log_determinant
+        return residual, log_normalizer(self.n_datum[:, None], log_determinant, self.dof)
 
 
 def power_likelihood(
@@ -167,8 +144,7 @@ def power_likelihood(
     check_tails(inflation, dof)
     data = beam_data(variance, used, gain, offset, place)
     centre, of_power = power_moments(inflation * data.relative_covariance(covariance), power)
-    level = data.gain @ REFERENCE_STRESS if reference is None else np.broadcast_to(reference, variance.shape)
-    scale = np.where(used, level, 1.0)
+    scale = data.reference_variance(reference)
     left, seen = data.seen_directions(scale)
     reduced = left.swapaxes(-1, -2) @ of_power @ left
     factor_reduced(reduced, seen, variance.shape[1], what="covariance")

@@ -96,7 +96,7 @@ class ReducedNoise:
             isinstance(bank, NoiseBank)
             and bank.net is not None
             and bank.n_beam >= LEAST_BEAMS
-            and float(np.max(np.abs(bank.probe_change(np.arange(len(bank.models)))))) < _POINTS
+            and float(np.max(np.abs(bank.probe_change()))) < _POINTS
         )
 
     def for_records(self, wind_speed: ArrayLike, yaw: ArrayLike, **flow: ArrayLike) -> ReducedRecordNoise:

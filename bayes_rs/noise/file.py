@@ -16,7 +16,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.output import write_netcdf
 
 if TYPE_CHECKING:
-    from bayes_rs.noise.model import NoiseBank
+    from bayes_rs.noise.bank import NoiseBank
 
 FILE_KIND = "bayes_rs noise"
 FILE_VERSION = 1
@@ -51,7 +51,7 @@ def noise_dataset(bank: NoiseBank, *, single_precision: bool = False) -> xr.Data
     if single_precision:
         row, column = np.triu_indices(bank.n_beam)
         upper = np.stack([m.covariance[row, column] for m in models]).astype(np.float32)
-        change = np.round(bank.probe_change(np.arange(len(models))), 8).astype(np.float32)
+        change = np.round(bank.probe_change(), 8).astype(np.float32)
         variables["bias"] = (pair[:2], variables["bias"][1].astype(np.float32), {"units": "1"})
         variables["covariance_upper"] = (("state", "beam_pair"), upper, {"units": "1"})
         variables["gain_change"] = (("state", "beam", "stress"), change, {"units": "1"})

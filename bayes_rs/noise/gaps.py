@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_choice, check_positive
+from bayes_rs._validation import check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import probed_covariance, theory_noise
+from bayes_rs.noise.probed import probed_covariance
+from bayes_rs.noise.sampling_times import samples_removed, samples_that_fit
+from bayes_rs.noise.theory import theory_noise
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
-from bayes_rs.turbulence.toeplitz import DETRENDING, gapped_inner, gapped_trace
+from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace
 
 _CHUNK = 500_000  # covariances held at a time: some 100 MiB of working arrays
-_ROUNDING = 1e-9  # of a sampling interval: whether the last sample is still inside the record
 
 
 def gap_noise(
@@ -141,9 +142,9 @@ def gap_noise(
 
 def _present(scan: Scan, present: ArrayLike, duration: float, detrend: str) -> NDArray[np.bool_]:
     """Check which samples there are, and take out those after the record's end."""
-    removed = 1 + DETRENDING.index(check_choice(detrend, DETRENDING, what="detrend"))
-    fits: FloatArray = np.ceil((duration - scan.beam_time) / scan.scan_duration - _ROUNDING)
-    n_sample = max(int(np.ceil(duration / scan.scan_duration - _ROUNDING)), 1)
+    removed = samples_removed(detrend)
+    fits = samples_that_fit(duration - scan.beam_time, scan.scan_duration)
+    n_sample = max(int(samples_that_fit(duration, scan.scan_duration)), 1)
     given = np.asarray(present)
     if given.dtype != np.bool_ or given.shape != (scan.n_beam, n_sample):
         raise InputError(

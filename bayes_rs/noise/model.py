@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -14,78 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.geometry.scan import Scan, yaw_matrix
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.file import noise_dataset, save_dataset
-from bayes_rs.noise.noise_geometry import check_geometry, check_same_scan, geometry_difference
-from bayes_rs.turbulence.interpolation import StateNet, combine, find_net, interpolate_covariance
+from bayes_rs.noise.bank import NoiseBank
+from bayes_rs.noise.file import save_dataset
+from bayes_rs.noise.noise_geometry import check_geometry, check_same_scan
+from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.turbulence.mann import MannTurbulence
+
+__all__ = ["NOISE_METHODS", "Noise", "NoiseBank", "NoiseModel", "RecordNoise", "SonicNoise"]
 
 NOISE_METHODS: tuple[str, ...] = ("boxes", "theory", "given")
 """Where a noise model's numbers can come from."""
-
-_EDGE = np.array([np.log(1.05), np.deg2rad(2.5), np.log(1.05), 0.1])
-"""Records no farther outside a bank than this in ln U, yaw, ln L and Γ are not counted as outside."""
-
-
-@dataclass(frozen=True, eq=False)
-class RecordNoise:
-    """The noise of each of a number of records.
-
-    Parameters
-    ----------
-    bias : ndarray, shape (n_record, n_beam)
-        E[y_b] / (n·R n) − 1 for the ensemble tensor.
-    gain : ndarray, shape (n_record, n_beam, 6)
-        E[y] = gain @ stresses of the record. The design matrix at the record's own yaw, and what the probe volume
-        changes in it.
-    covariance : ndarray, shape (n_record, n_beam, n_beam)
-        Relative covariance K.
-    wind_speed : ndarray, shape (n_record,)
-        Mean wind speed that the noise is for, m/s: the record's own where a bank interpolates, else the nearest
-        calibrated one, or the nearest edge of the net.
-    yaw : ndarray, shape (n_record,)
-        Wind direction relative to the lidar axis that the noise is for, rad.
-    state : ndarray of int, shape (n_record,)
-        Equal numbers mean equal noise: the number of the nearest state, or where a bank interpolates a number of the
-        wind speed and direction among those of these records.
-    outside : ndarray of bool, shape (n_record,)
-        Whether a record is outside the bank, so that its noise is that of the nearest edge or state.
-    negative_part : ndarray, shape (n_record,)
-        See `interpolate_covariance`; 0 without interpolation.
-    """
-
-    bias: FloatArray
-    gain: FloatArray
-    covariance: FloatArray
-    wind_speed: FloatArray
-    yaw: FloatArray
-    state: NDArray[np.int64]
-    outside: NDArray[np.bool_]
-    negative_part: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class SonicNoise:
-    """The joint moments of the beams' variances and a sonic's stresses, for each of a number of records.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n_record, 6, 6)
-        Covariance of L⁻¹ S L⁻ᵀ, see `NoiseModel`.
-    beam_covariance : ndarray, shape (n_record, 6, n_beam)
-        Its covariance with the relative variances of the beams.
-    state : ndarray of int, shape (n_record,)
-        Equal numbers mean equal moments.
-    negative_part : ndarray, shape (n_record,)
-        See `interpolate_covariance`, for the joint covariance of beams and sonic; 0 without interpolation.
-    """
-
-    covariance: FloatArray
-    beam_covariance: FloatArray
-    state: NDArray[np.int64]
-    negative_part: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +148,11 @@ class NoiseModel:
             raise InputError(f"Invalid details in {where}: {error}, and they must be plain JSON values.") from error
 
     @property
+    def models(self) -> tuple[NoiseModel, ...]:
+        """The model itself, as the only one: what a `NoiseBank` holds several of."""
+        return (self,)
+
+    @property
     def n_beam(self) -> int:
         """Number of beams."""
         return len(self.beam)
@@ -277,7 +222,14 @@ class NoiseModel:
             sonic_beam_covariance=None if self.sonic_beam_covariance is None else self.sonic_beam_covariance[:, index],
         )
 
-    def for_records(self, wind_speed: ArrayLike, yaw: ArrayLike) -> RecordNoise:
+    def for_records(
+        self,
+        wind_speed: ArrayLike,
+        yaw: ArrayLike,
+        *,
+        length_scale: ArrayLike | None = None,
+        gamma: ArrayLike | None = None,
+    ) -> RecordNoise:
         """Return the noise of records: the same for all, because this model knows one state only.
 
         Parameters
@@ -286,13 +238,15 @@ class NoiseModel:
             Mean wind speed of each record, m/s.
         yaw : array_like, shape (n_record,)
             Wind direction relative to the lidar axis, rad.
+        length_scale, gamma : array_like, shape (n_record,), optional
+            As for `NoiseBank.for_records`; of no influence here.
 
         Returns
         -------
         noise : RecordNoise
             Arrays along the records, as read-only views.
         """
-        return NoiseBank((self,)).for_records(wind_speed, yaw)
+        return NoiseBank((self,)).for_records(wind_speed, yaw, length_scale=length_scale, gamma=gamma)
 
     @property
     def has_sonic(self) -> bool:
@@ -316,9 +270,16 @@ class NoiseModel:
         across = self.sonic_beam_covariance
         return np.block([[self.covariance, across.T], [across, self.sonic_covariance]])
 
-    def sonic_for_records(self, wind_speed: ArrayLike, yaw: ArrayLike) -> SonicNoise:
+    def sonic_for_records(
+        self,
+        wind_speed: ArrayLike,
+        yaw: ArrayLike,
+        *,
+        length_scale: ArrayLike | None = None,
+        gamma: ArrayLike | None = None,
+    ) -> SonicNoise:
         """Return the moments with a sonic's stresses for records; as `NoiseBank.sonic_for_records`."""
-        return NoiseBank((self,)).sonic_for_records(wind_speed, yaw)
+        return NoiseBank((self,)).sonic_for_records(wind_speed, yaw, length_scale=length_scale, gamma=gamma)
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset; see `save` for what is in it."""
@@ -348,461 +309,8 @@ class NoiseModel:
         save_dataset(self.to_dataset(), path, overwrite=overwrite)
 
 
-class _Place(NamedTuple):
-    """Where in a bank the noise of records comes from."""
-
-    used: FloatArray  # (ln U, ψ, ln L, Γ), shape (n_record, 4)
-    wind_speed: FloatArray
-    state: NDArray[np.int64]  # the nearest, where there is no net
-    outside: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseBank:
-    """Noise models of one scan at several states of the flow: between them if they form a net, else the nearest.
-
-    Parameters
-    ----------
-    models : tuple of NoiseModel
-        At least one; all of the same scan and record length. Their turbulence may differ in L and Γ if the states hold
-        every combination of their wind speeds, directions, L and Γ.
-
-    Attributes
-    ----------
-    net : StateNet or None
-        The net of (ln U, ψ, ln L, Γ) that the states form, if they form one.
-
-    Raises
-    ------
-    InputError
-        If there is no model, or two were made for different scans or record lengths, or for different turbulence
-        without forming a net.
-
-    Notes
-    -----
-    In a net, every record gets noise of its own: variances, correlations, bias and gain are interpolated to its ln U
-    and ψ (`interpolate_covariance`, `StateNet`). `interpolation_error` tells how well, where that was measured.
-
-    Other states are not interpolated: each record takes the nearest in (ln U, ψ), because the noise depends on the wind
-    speed through L/(U T): a step of 1 in ln U counts as much as a step of 1 rad in yaw.
-
-    Nothing is extrapolated: a record outside the bank gets its nearest edge or state, `RecordNoise.outside` marks it,
-    and `RecordNoise.wind_speed` tells which one that was.
-    """
-
-    models: tuple[NoiseModel, ...]
-    net: StateNet | None = field(init=False, repr=False, default=None)
-
-    def __post_init__(self) -> None:
-        """Check that the models belong together."""
-        object.__setattr__(self, "models", tuple(self.models))
-        if not self.models:
-            raise InputError("A noise bank needs at least one noise model.")
-        first = self.models[0]
-        for model in self.models[1:]:
-            difference = geometry_difference(first.scan_geometry, model.scan_geometry)
-            if difference:
-                raise InputError(f"The models of a noise bank must be of one scan: {difference}.")
-        object.__setattr__(self, "net", find_net(self._coordinates))
-        for model in self.models[1:]:
-            same_flow = self.net is not None or _flow(model.turbulence) == _flow(first.turbulence)
-            if model.duration != first.duration or not same_flow:
-                raise InputError(
-                    "The models of a noise bank must be of one record length and one turbulence: "
-                    f"{first.duration:g} s, {_flow(first.turbulence)} and "
-                    f"{model.duration:g} s, {_flow(model.turbulence)}; only a net with every combination may have "
-                    "several turbulences."
-                )
-
-    @property
-    def beam(self) -> NDArray[np.int64]:
-        """Numbers of the beams, shape (n_beam,)."""
-        return self.models[0].beam
-
-    @property
-    def n_beam(self) -> int:
-        """Number of beams."""
-        return self.models[0].n_beam
-
-    @property
-    def scan_name(self) -> str:
-        """Name of the scan."""
-        return self.models[0].scan_name
-
-    @property
-    def scan_geometry(self) -> Mapping[str, Any]:
-        """Geometry of the scan, as `Scan.geometry` returns it."""
-        return self.models[0].scan_geometry
-
-    @property
-    def duration(self) -> float:
-        """Length of a record, s."""
-        return self.models[0].duration
-
-    @property
-    def turbulence(self) -> MannTurbulence:
-        """Turbulence for which the bank was calibrated; that of the first state if there are several."""
-        return self.models[0].turbulence
-
-    @property
-    def n_turbulence(self) -> int:
-        """Number of different turbulences among the states."""
-        return len({_flow(model.turbulence) for model in self.models})
-
-    @property
-    def length_scale(self) -> FloatArray:
-        """Length scale L of each state, shape (n_state,), m."""
-        return np.array([model.turbulence.length_scale for model in self.models])
-
-    @property
-    def gamma(self) -> FloatArray:
-        """Anisotropy Γ of each state, shape (n_state,)."""
-        return np.array([model.turbulence.gamma for model in self.models])
-
-    @property
-    def interpolation_error(self) -> float | None:
-        """Largest error of K between the states, ‖δK‖/‖K‖ (Frobenius); None where it was not measured."""
-        stated = self.models[0].details.get("interpolation_error")
-        return None if self.net is None or stated is None else float(stated)
-
-    @property
-    def _coordinates(self) -> FloatArray:
-        """The states as (ln U, ψ, ln L, Γ), shape (n_state, 4)."""
-        return np.column_stack([np.log(self.wind_speed), self.yaw, np.log(self.length_scale), self.gamma])
-
-    @property
-    def wind_speed(self) -> FloatArray:
-        """Mean wind speed of each state, shape (n_state,), m/s."""
-        return np.array([model.wind_speed for model in self.models])
-
-    @property
-    def yaw(self) -> FloatArray:
-        """Wind direction of each state, shape (n_state,), rad."""
-        return np.array([model.yaw for model in self.models])
-
-    def check_scan(self, scan: Scan) -> None:
-        """Check that the bank was made for this scan; as `NoiseModel.check_scan`."""
-        check_same_scan(self.scan_name, self.scan_geometry, scan)
-
-    def select(self, beams: ArrayLike) -> NoiseBank:
-        """Return the bank of only the beams whose numbers are given; as `NoiseModel.select`."""
-        return NoiseBank(tuple(model.select(beams) for model in self.models))
-
-    def at_turbulence(self, length_scale: float, gamma: float) -> NoiseBank:
-        """Return the bank for one turbulence out of those that it spans.
-
-        Parameters
-        ----------
-        length_scale : float
-            Length scale L, m.
-        gamma : float
-            Anisotropy Γ.
-
-        Returns
-        -------
-        bank : NoiseBank
-            Its states are the wind speeds and directions of this bank; bias, gain and covariance are interpolated.
-
-        Raises
-        ------
-        InputError
-            If the states form no net.
-        """
-        if self.net is None:
-            raise InputError(
-                "The states of this noise bank form no net, so nothing can be interpolated: make one with theory_bank."
-            )
-        flow = replace(self.turbulence, length_scale=length_scale, gamma=gamma)
-        plane = sorted({(model.wind_speed, model.yaw): model for model in self.models}.items())
-        noise = self.for_records(
-            [speed for (speed, _), _ in plane],
-            [yaw for (_, yaw), _ in plane],
-            length_scale=length_scale,
-            gamma=gamma,
-        )
-        models = [
-            replace(
-                model,
-                bias=noise.bias[i],
-                gain=noise.gain[i],
-                covariance=noise.covariance[i],
-                standard_error=None,
-                turbulence=flow,
-            )
-            for i, (_, model) in enumerate(plane)
-        ]
-        if self.has_sonic:
-            sonic = self.sonic_for_records(
-                [speed for (speed, _), _ in plane],
-                [yaw for (_, yaw), _ in plane],
-                length_scale=length_scale,
-                gamma=gamma,
-            )
-            models = [
-                replace(model, sonic_covariance=sonic.covariance[i], sonic_beam_covariance=sonic.beam_covariance[i])
-                for i, model in enumerate(models)
-            ]
-        return NoiseBank(tuple(models))
-
-    def for_records(
-        self,
-        wind_speed: ArrayLike,
-        yaw: ArrayLike,
-        *,
-        length_scale: ArrayLike | None = None,
-        gamma: ArrayLike | None = None,
-    ) -> RecordNoise:
-        """Return the noise of records: interpolated if the states form a net, else that of the nearest state.
-
-        Parameters
-        ----------
-        wind_speed : array_like, shape (n_record,)
-            Mean wind speed of each record, m/s.
-        yaw : array_like, shape (n_record,)
-            Wind direction relative to the lidar axis, rad.
-        length_scale, gamma : array_like, shape (n_record,), optional
-            Length scale L, m, and anisotropy Γ of each record's turbulence; needed for a bank that spans several.
-
-        Returns
-        -------
-        noise : RecordNoise
-            Arrays along the records.
-
-        Raises
-        ------
-        InputError
-            If a wind speed is not positive, a number is not finite, or L or Γ is missing.
-        """
-        points = self._points(wind_speed, yaw, length_scale, gamma)
-        angle = points[:, 1]
-        place = self._place(points)
-        if self.net is None:
-            state = place.state
-            covariance, negative_part = self._stacked("covariance", state), np.zeros(len(state))
-            bias, probe = self._stacked("bias", state), self.probe_change(state)
-        else:
-            weights, _ = self.net.weights(points)
-            _, first, state = np.unique(place.used, axis=0, return_index=True, return_inverse=True)
-            state = state.reshape(-1)
-            own = np.stack([model.covariance for model in self.models])
-            covariance, negative_part = (part[state] for part in interpolate_covariance(own, weights[first]))
-            bias = combine(weights, np.stack([model.bias for model in self.models]))
-            probe = combine(weights, self.probe_change(np.arange(len(self.models))))
-        direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
-        return RecordNoise(
-            bias=bias,
-            gain=design_matrix(direction @ yaw_matrix(angle)) + probe,
-            covariance=covariance,
-            wind_speed=place.wind_speed,
-            yaw=place.used[:, 1],
-            state=state.astype(np.int64),
-            outside=place.outside,
-            negative_part=negative_part,
-        )
-
-    def weights_for(
-        self,
-        wind_speed: ArrayLike,
-        yaw: ArrayLike,
-        *,
-        length_scale: ArrayLike | None = None,
-        gamma: ArrayLike | None = None,
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return how the states of a net are weighted for records.
-
-        Parameters
-        ----------
-        wind_speed, yaw, length_scale, gamma
-            As for `for_records`.
-
-        Returns
-        -------
-        weights : ndarray, shape (n_record, n_state)
-            Weights of the states.
-        yaw : ndarray, shape (n_record,)
-            The records' own directions, within half a turn of the bank's middle, rad.
-        outside : ndarray of bool, shape (n_record,)
-            Whether a record is outside the bank, and weighted as at its edge.
-
-        Raises
-        ------
-        InputError
-            As for `for_records`, and if the states form no net.
-        """
-        if self.net is None:
-            raise InputError(
-                "The states of this noise bank form no net, so nothing can be interpolated: make one with theory_bank."
-            )
-        points = self._points(wind_speed, yaw, length_scale, gamma)
-        return self.net.weights(points)[0], points[:, 1], self._place(points).outside
-
-    @property
-    def has_sonic(self) -> bool:
-        """Whether all states hold the joint moments with a sonic's stresses."""
-        return all(model.has_sonic for model in self.models)
-
-    def sonic_for_records(
-        self,
-        wind_speed: ArrayLike,
-        yaw: ArrayLike,
-        *,
-        length_scale: ArrayLike | None = None,
-        gamma: ArrayLike | None = None,
-    ) -> SonicNoise:
-        """Return the joint moments with a sonic's stresses for records; interpolated as `for_records` does it.
-
-        Parameters
-        ----------
-        wind_speed, yaw, length_scale, gamma
-            As for `for_records`.
-
-        Returns
-        -------
-        noise : SonicNoise
-            Arrays along the records.
-
-        Raises
-        ------
-        InputError
-            As for `for_records`, and if the bank does not hold these moments.
-        """
-        points = self._points(wind_speed, yaw, length_scale, gamma)
-        place = self._place(points)
-        joint = np.stack([model.joint_covariance for model in self.models])
-        n_beam = self.n_beam
-        if self.net is None:
-            first, state = np.unique(place.state, return_inverse=True)
-            between, negative_part = joint[first], np.zeros(len(first))
-        else:
-            weights, _ = self.net.weights(points)
-            _, first, state = np.unique(place.used, axis=0, return_index=True, return_inverse=True)
-            between, negative_part = interpolate_covariance(joint, weights[first])
-        state = state.reshape(-1)
-        return SonicNoise(
-            covariance=between[state, n_beam:, n_beam:],
-            beam_covariance=between[state, n_beam:, :n_beam],
-            state=state.astype(np.int64),
-            negative_part=negative_part[state],
-        )
-
-    def locate(self, wind_speed: ArrayLike, yaw: ArrayLike) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return for which wind speeds and directions `for_records` gives the noise of records, and which are outside.
-
-        Parameters
-        ----------
-        wind_speed, yaw : array_like, shape (n_record,)
-            As for `for_records`; L and Γ do not matter here.
-
-        Returns
-        -------
-        wind_speed : ndarray, shape (n_record,)
-            m/s.
-        yaw : ndarray, shape (n_record,)
-            rad.
-        outside : ndarray of bool, shape (n_record,)
-            Whether a record is outside the bank.
-        """
-        place = self._place(self._points(wind_speed, yaw, self.length_scale[0], self.gamma[0]))
-        return place.wind_speed, place.used[:, 1], place.outside
-
-    def _points(
-        self, wind_speed: ArrayLike, yaw: ArrayLike, length_scale: ArrayLike | None, gamma: ArrayLike | None
-    ) -> FloatArray:
-        """Return the records as (ln U, ψ, ln L, Γ), shape (n_record, 4); ψ within half a turn of the bank's middle."""
-        speed, angle = np.broadcast_arrays(np.atleast_1d(wind_speed), np.atleast_1d(yaw))
-        speed = check_array(speed, (None,), what="wind_speed of the records")
-        angle = check_array(angle, (None,), what="yaw of the records")
-        for index in np.flatnonzero(speed <= 0.0):
-            raise InputError(f"Invalid wind_speed {speed[index]:g} m/s of record {index}: it must be above zero.")
-        centre = 0.5 * (np.min(self.yaw) + np.max(self.yaw))
-        near = np.where(np.abs(angle - centre) <= np.pi, angle, centre + np.angle(np.exp(1j * (angle - centre))))
-        scale = self._flow_of_records(length_scale, self.length_scale, "length_scale", len(speed))
-        for index in np.flatnonzero(scale <= 0.0):
-            raise InputError(f"Invalid length_scale {scale[index]:g} m of record {index}: it must be above zero.")
-        anisotropy = self._flow_of_records(gamma, self.gamma, "gamma", len(speed))
-        return np.column_stack([np.log(speed), near, np.log(scale), anisotropy])
-
-    def _place(self, points: FloatArray) -> _Place:
-        """Find where in the bank the noise of records comes from."""
-        coordinates = self._coordinates
-        low, high = np.min(coordinates, axis=0), np.max(coordinates, axis=0)
-        # several states have edges; how far records are from a single one is for the caller to say
-        outside = np.any((points < low - _EDGE) | (points > high + _EDGE), axis=1) & (len(coordinates) > 1)
-        if self.net is not None:
-            used = self.net.weights(points)[1]
-            nearest = np.zeros(len(points), dtype=np.int64)
-            return _Place(used, np.exp(used[:, 0]), nearest, outside)
-        turn = np.angle(np.exp(1j * (points[:, 1:2] - coordinates[:, 1])))
-        state = np.argmin((points[:, :1] - coordinates[:, 0]) ** 2 + turn**2, axis=1)
-        return _Place(coordinates[state], self.wind_speed[state], state, outside)
-
-    def _flow_of_records(self, given: ArrayLike | None, own: FloatArray, name: str, n_record: int) -> FloatArray:
-        """Return L or Γ of each record; the bank's, if it has but one."""
-        several = bool(np.ptp(own) > 0.0)
-        if given is None and several:
-            raise InputError(
-                f"This noise bank spans {name} {np.min(own):g} to {np.max(own):g}: give the {name} of the records, or "
-                "take the bank of one turbulence with at_turbulence."
-            )
-        values = np.broadcast_to(np.asarray(own[0] if given is None or not several else given), (n_record,))
-        return check_array(values, (None,), what=f"{name} of the records")
-
-    def _stacked(self, name: str, state: NDArray[np.int64]) -> FloatArray:
-        """Return an array of the models for each record; a read-only view where there is one model."""
-        if len(self.models) == 1:
-            only = np.asarray(getattr(self.models[0], name))
-            return np.broadcast_to(only, (len(state), *only.shape))
-        return np.stack([getattr(model, name) for model in self.models])[state]
-
-    def probe_change(self, state: NDArray[np.int64]) -> FloatArray:
-        """Return what the probe volume adds to the design matrix at states, shape (n, n_beam, 6); zero for points."""
-        direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
-        change = np.stack([model.gain - design_matrix(direction @ yaw_matrix(model.yaw)) for model in self.models])
-        return np.asarray(change[state], dtype=np.float64)
-
-    def to_dataset(self, *, single_precision: bool = False) -> xr.Dataset:
-        """Return the bank as a Dataset with dimension ``state``; as `NoiseModel.to_dataset`.
-
-        Parameters
-        ----------
-        single_precision : bool
-            See `save`.
-
-        Returns
-        -------
-        dataset : xarray.Dataset
-            What `save` writes.
-        """
-        return noise_dataset(self, single_precision=single_precision)
-
-    def save(self, path: str | Path, *, overwrite: bool = False, single_precision: bool = False) -> None:
-        """Write the bank to one NetCDF file, which `load_noise` reads; as `NoiseModel.save`.
-
-        Parameters
-        ----------
-        path : str or Path
-            File to write.
-        overwrite : bool
-            Replace an existing file.
-        single_precision : bool
-            Write half of each covariance, and bias and gain, in single precision (6e-8 relative), without standard
-            errors: a fifth of the size. Rounding can leave eigenvalues just below zero; reading takes the nearest
-            positive semi-definite matrix.
-
-        Raises
-        ------
-        InputError
-            If the file exists and `overwrite` is false, or the folder cannot be written.
-        """
-        save_dataset(self.to_dataset(single_precision=single_precision), path, overwrite=overwrite)
-
-
 Noise: TypeAlias = NoiseModel | NoiseBank
 """What `calibrate` makes, `load_noise` reads and `fit` takes."""
-
-
-def _flow(turbulence: MannTurbulence) -> tuple[float, float, float]:
-    return turbulence.dissipation, turbulence.length_scale, turbulence.gamma
 
 
 def _checked_sonic(

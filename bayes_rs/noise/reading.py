@@ -60,7 +60,7 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
     if str(dataset.attrs.get("kind")) != FILE_KIND:
         raise InputError(f"File {str(file)!r} is not a noise file of bayes_rs: make one with calibrate.")
     version = dataset.attrs.get("format_version", 0)
-    if not np.array_equal(version, FILE_VERSION):
+    if np.ndim(version) or isinstance(version, str) or version != FILE_VERSION:
         raise InputError(
             f"Noise file {str(file)!r} has format version {version} and this program reads {FILE_VERSION}: "
             "calibrate again."

@@ -20,7 +20,6 @@ _MOST = 4_000_000
 _LEAST_SHARE = 1e-4
 _SOFT = 0.5
 """Diagonal elements of the factor are linear above this multiple of their typical value, logarithmic below."""
-_SHIFT = _SOFT * float(np.log(np.expm1(1.0 / _SOFT)))  # the coordinate at which an element has its typical value
 
 
 @dataclass(frozen=True, eq=False)

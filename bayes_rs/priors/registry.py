@@ -82,7 +82,7 @@ def _parameters(make: Callable[..., Prior], name: str, text: str) -> dict[str, f
                 f"Invalid parameter {part!r} of prior {name!r}: write {name}:key=value,key=value, "
                 f"such as {name}:{known[0]}={getattr(example, known[0]):g}."
             )
-        check_choice(key, known, what=f"parameter of prior {name!r}")
+        check_choice(key, known, what="parameter", of=f"prior {name!r}")
         if key in found:
             raise InputError(f"Parameter {key!r} of prior {name!r} is given twice: give it once.")
         try:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
@@ -63,32 +66,78 @@ def directions(result: xr.DataTree, scan: Scan) -> pd.DataFrame:
     beams = observed["beam"].values
     if not np.all(np.isin(beams, scan.beam)):
         raise InputError(f"The result's beams {beams.tolist()} are not all in scan {scan.name!r}: give its own scan.")
-    level = scan.select(beams).at_yaw(0.0)
-    _, singular, vectors = np.linalg.svd(design_matrix(level), full_matrices=True)
+    weight, vectors = scan_directions(scan.select(beams))
+    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
+    posterior = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    posterior = posterior.reshape(len(posterior), -1, len(STRESSES))
+    yaw = np.deg2rad(observed["yaw"].values)
+    contraction, of_shape = contraction_along(vectors, posterior, yaw, prior_covariances(prior))
+    return direction_rows(observed["record"].values, weight, vectors, contraction, of_shape)
+
+
+def scan_directions(scan: Scan) -> tuple[FloatArray, FloatArray]:
+    """Return the weights, shape (6,), and the directions of R, shape (6, 6), one a row, of a scan's beams."""
+    _, singular, vectors = np.linalg.svd(design_matrix(scan.at_yaw(0.0)), full_matrices=True)
     weight = np.zeros(len(STRESSES))
     weight[: len(singular)] = singular / singular[0]
     weight[weight <= RANK_TOLERANCE] = 0.0
     # the sign of a singular vector means nothing: the largest entry is made positive
-    vectors = vectors * np.sign(np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1))
-    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
-    posterior = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    yaw = np.deg2rad(observed["yaw"].values)
-    contraction = [
-        _contraction(posterior, prior, yaw, vectors),
-        _contraction(_shape(posterior), _shape(prior), yaw, vectors),
-    ]
-    n_record = len(posterior)
+    return weight, vectors * np.sign(np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1))
+
+
+def direction_rows(
+    record: NDArray[Any], weight: FloatArray, vectors: FloatArray, contraction: FloatArray, of_shape: FloatArray
+) -> pd.DataFrame:
+    """Lay contractions (n_record, 6) along the directions of R out as the table of `directions`."""
+    n_record = len(record)
     return pd.DataFrame(
         {
-            "record": np.repeat(observed["record"].values, len(STRESSES)),
+            "record": np.repeat(record, len(STRESSES)),
             "direction": np.tile(np.arange(len(STRESSES)), n_record),
             "weight": np.tile(weight, n_record),
             "seen": np.tile(weight > 0.0, n_record),
-            "contraction": contraction[0].ravel(),
-            "contraction_shape": contraction[1].ravel(),
+            "contraction": contraction.ravel(),
+            "contraction_shape": of_shape.ravel(),
             **{name: np.tile(vectors[:, index], n_record) for index, name in enumerate(STRESSES)},
         }
     )
+
+
+def prior_covariances(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the covariances, each (6, 6), of draws of a prior (n, 6) and of their shape."""
+    return np.cov(draws, rowvar=False, bias=True), np.cov(_shape(draws), rowvar=False, bias=True)
+
+
+def contraction_along(
+    vectors: FloatArray, posterior: FloatArray, yaw: FloatArray, of_prior: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the contractions of R and of its shape along directions of R.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (6, 6)
+        The directions, one a row, in the lidar's frame.
+    posterior : ndarray, shape (n_record, n_draw, 6)
+        Draws, in the frame of each record's wind.
+    yaw : ndarray, shape (n_record,)
+        Wind directions relative to the lidar's axis, rad.
+    of_prior : tuple of ndarray, shape (6, 6)
+        From `prior_covariances`.
+
+    Returns
+    -------
+    contraction, of_shape : ndarray, shape (n_record, 6)
+        As in `directions`.
+    """
+    back = rotate_stress(np.eye(len(STRESSES)), yaw_matrix(-np.where(np.isfinite(yaw), yaw, 0.0))[:, None])
+    along = vectors @ back.swapaxes(-1, -2)  # d in the mean-wind frame: (record, direction, 6)
+    found = []
+    for draws, prior in zip((posterior, _shape(posterior)), of_prior, strict=True):
+        centred = draws - draws.mean(axis=1, keepdims=True)
+        covariance = centred.swapaxes(-1, -2) @ centred / draws.shape[1]
+        spread = [((along @ matrix) * along).sum(axis=-1) for matrix in (covariance, prior)]
+        found.append(np.asarray(1.0 - spread[0] / spread[1]))
+    return found[0], found[1]
 
 
 def direction_words(direction: FloatArray) -> str:
@@ -119,15 +168,3 @@ def direction_words(direction: FloatArray) -> str:
 
 def _shape(stress: FloatArray) -> FloatArray:
     return np.asarray(stress / stress[..., :3].sum(axis=-1, keepdims=True))
-
-
-def _contraction(posterior: FloatArray, prior: FloatArray, yaw: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return contractions, shape (n_record, 6), of draws (n_record, chain, draw, 6) along the rows of `vectors`."""
-    back = rotate_stress(np.eye(len(STRESSES)), yaw_matrix(-np.where(np.isfinite(yaw), yaw, 0.0))[:, None])
-    along = vectors @ back.swapaxes(-1, -2)  # d in the mean-wind frame: (record, direction, 6)
-    flat = posterior.reshape(len(posterior), -1, len(STRESSES))
-    centred = flat - flat.mean(axis=1, keepdims=True)
-    covariance = centred.swapaxes(-1, -2) @ centred / flat.shape[1]
-    of_prior = np.cov(prior, rowvar=False, bias=True)
-    spread = [np.einsum("rki,rij,rkj->rk", along, matrix, along) for matrix in (covariance, of_prior[None])]
-    return np.asarray(1.0 - spread[0] / spread[1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ from bayes_rs.results.result import FLAGS, assemble
 TARGETS = ("record", "ensemble", "sonic")
 MISFIT_LIMIT = 3.0
 """A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
+_SAME_FLOW = 0.01
+"""Relative difference of L or Γ that counts as none: it changes K by about as much as a bank's interpolation."""
 _CHUNK = 256
 """Records that are sampled together; memory, not the result, depends on it."""
 _CHUNK_NUMBERS = 4_000_000
@@ -51,14 +55,16 @@ def fit(
     ----------
     records : Dataset, dims (record, beam)
         From `make_records`: ``variance`` (m² s⁻²), ``flag``, and per record ``wind_speed`` (m/s) and ``yaw`` (degree).
-        Where `with_motion` gave them a tilt and roll of their own, the beams point as these say.
+        Where `with_motion` gave them a tilt and roll of their own, the beams point as these say. Where nuisances
+        ask for it, also ``yaw_sd`` (degree), as from `mean_wind`.
     scan : Scan
         The scan that measured them.
     noise : NoiseModel or NoiseBank
         From `calibrate`, `theory_bank` or `load_noise`, made for this scan and record length. Each record gets the
         noise of its own wind speed and direction if the states of a bank form a net, and of its own ``length_scale``
-        (m) and ``gamma`` if they hold them and the bank spans several. The attribute ``n_outside_noise`` of the
-        result counts the records outside the bank, which use its edge.
+        (m) and ``gamma`` if they hold them: then the bank must span several, unless that which it knows is theirs,
+        to a per cent. The attribute ``n_outside_noise`` of the result counts the records outside the bank, which use
+        its edge.
     seed : int
         Seed. A record's draws depend on the seed and the record's start, not on the records beside it.
     prior : str or Prior
@@ -116,7 +122,7 @@ def fit(
     options = fit_options(
         prior, target, sampler, likelihood, nuisances, instrument_noise, target_ess, max_extension, seed
     )
-    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise)
+    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise, nuisances=options.nuisances)
     fitted = can_be_fitted(batch)
     flag = flags_before(records, batch.used, fitted)
     size = batch_size(scan.n_beam)
@@ -137,6 +143,7 @@ def fit(
         usable=batch.used,
         draws=joined,
         flag=flag,
+        yaw_sd=batch.yaw_sd,
         attributes={
             "target": target,
             "sampler": sampler,
@@ -162,7 +169,12 @@ def batch_size(n_beam: int) -> int:
 
 
 def prepare(
-    records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank, *, instrument_noise: float | str = 0.0
+    records: xr.Dataset,
+    scan: Scan,
+    noise: NoiseModel | NoiseBank,
+    *,
+    instrument_noise: float | str = 0.0,
+    nuisances: Nuisances | None = None,
 ) -> tuple[Scan, NoiseModel | NoiseBank, Batch]:
     """Check that records, scan and noise belong together; return scan and noise of the records' beams, and the data.
 
@@ -177,23 +189,24 @@ def prepare(
     noise = noise.select(scan.beam)
     noise.check_scan(scan)
     _check_duration(records, noise)
+    uncertain = Nuisances() if nuisances is None else nuisances
+    _check_flow(records, noise, uncertain)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     used = (records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance)
     own_noise = _own_noise(records, used) if isinstance(instrument_noise, str) else None
-    return (
-        scan,
-        noise,
-        Batch(
-            variance,
-            used if own_noise is None else used & (variance > own_noise),
-            np.asarray(records["wind_speed"].values, dtype=np.float64),
-            np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)),
-            _stream_keys(records),
-            {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
-            gain_turn(records, scan),
-            own_noise,
-        ),
+    batch = Batch(
+        variance,
+        used if own_noise is None else used & (variance > own_noise),
+        np.asarray(records["wind_speed"].values, dtype=np.float64),
+        np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)),
+        _stream_keys(records),
+        {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
+        gain_turn(records, scan),
+        own_noise,
     )
+    if uncertain.yaw_sd_of_records:
+        batch = replace(batch, yaw_sd=_own_yaw_sd(records, can_be_fitted(batch), uncertain.yaw_sd_missing_deg))
+    return scan, noise, batch
 
 
 def fit_options(
@@ -284,12 +297,50 @@ def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
     return np.where(used, own, 0.0)
 
 
-def _check_duration(records: xr.Dataset, noise: NoiseModel | NoiseBank) -> None:
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
-    duration = float(records.attrs.get("duration", models[0].duration))
-    if not np.isclose(duration, models[0].duration):
+def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:
+    """Return how uncertain the records say that their directions are, shape (n_record,), degrees."""
+    if "yaw_sd" not in records or records["yaw_sd"].dims != ("record",):
         raise InputError(
-            f"The records last {duration:g} s and the noise is for records of {models[0].duration:g} s: "
+            "The records have no yaw_sd with dims ('record',): add it with mean_wind(records, scan, turbulence=...), "
+            "or give a number as yaw_sd_deg."
+        )
+    own = np.asarray(records["yaw_sd"].values, dtype=np.float64)
+    if missing_deg is not None:
+        own = np.where(np.isnan(own), missing_deg, own)
+    bad = fitted[~(np.isfinite(own[fitted]) & (own[fitted] >= 0.0))]
+    if len(bad):
+        start = f" ({str(records['time'].values[bad[0]])[:16]})" if "time" in records.coords else ""
+        raise InputError(
+            f"Invalid yaw_sd {own[bad[0]]} degrees of record {bad[0]}{start}, one of {len(bad)}: it must be finite, "
+            "zero or above; give yaw_sd_missing_deg for records without one, or a number as yaw_sd_deg for all."
+        )
+    return own
+
+
+def _check_flow(records: xr.Dataset, noise: NoiseModel | NoiseBank, nuisances: Nuisances) -> None:
+    """Refuse records with a turbulence of their own that the noise would leave aside."""
+    averaged = nuisances.length_scale_log_sd > 0.0
+    for name, unit, remedy in (
+        ("length_scale", " m", "noise_for_records(..., length_scale=[shortest, longest])"),
+        ("gamma", "", "theory_bank(..., gamma=[lowest, highest])"),
+    ):
+        known = np.array([getattr(model.turbulence, name) for model in noise.models])
+        if name not in records or np.ptp(known) > 0.0 or (averaged and name == "length_scale"):
+            continue
+        own = np.asarray(records[name].values, dtype=np.float64)
+        other = np.flatnonzero(np.abs(own - known[0]) > _SAME_FLOW * known[0])
+        if len(other):
+            raise InputError(
+                f"Record {other[0]} has a {name} of its own, {own[other[0]]:.3g}{unit}, and the noise knows only "
+                f"{known[0]:.3g}{unit}: make it with {remedy}, or leave it out with records.drop_vars({name!r})."
+            )
+
+
+def _check_duration(records: xr.Dataset, noise: NoiseModel | NoiseBank) -> None:
+    duration = float(records.attrs.get("duration", noise.duration))
+    if not np.isclose(duration, noise.duration):
+        raise InputError(
+            f"The records last {duration:g} s and the noise is for records of {noise.duration:g} s: "
             "calibrate the noise for the records' duration."
         )
 

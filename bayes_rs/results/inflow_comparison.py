@@ -171,7 +171,7 @@ def compare_inflow(
         raise InputError(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )
-    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise)
+    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise, nuisances=nuisances)
     fitted = can_be_fitted(batch)
     size = max(1, _NUMBERS // (n_draw * scan.n_beam))
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]

@@ -6,17 +6,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.results.derived import lumley_coordinates
-from bayes_rs.results.plots import PRIOR_COLOUR, find_record
+from bayes_rs.results.plots import PRIOR_COLOUR, TRUTH_COLOUR, find_record, known_stresses
 from bayes_rs.results.result import check_result, group
 
 POINT_COLOUR = "#1f4e79"
 _MOST_DRAWS = 2000
 
 
-def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
+def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: ArrayLike | None = None) -> Figure:
     """Draw the anisotropy of the Reynolds stresses in Lumley's triangle.
 
     Parameters
@@ -26,6 +27,8 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
     record : int or str, optional
         Number of a record, or its start as ISO time (UTC), whose draws are shown; by default the medians of all
         records with the central 68 % of their draws.
+    truth : array_like, shape (6,) or (n_record, 6), optional
+        Known stresses to mark, the same for all records or each record's own, m² s⁻².
 
     Returns
     -------
@@ -35,7 +38,8 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
     Raises
     ------
     InputError
-        If the tree is not a result of `fit`, or the record does not exist or was not fitted.
+        If the tree is not a result of `fit`, the record does not exist or was not fitted, or the truth has the wrong
+        shape or is not finite.
 
     Notes
     -----
@@ -44,6 +48,7 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
     """
     check_result(result)
     stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    marks = None if truth is None else known_stresses(truth, len(stress))
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axis = figure.subplots()
     xi = np.linspace(-1.0 / 6.0, 1.0 / 3.0, 201)
@@ -57,16 +62,22 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None) -> Figure:
         axis.annotate(words, place, (side[2], 4), textcoords="offset points", ha=side[0], va=side[1], fontsize=9)
     if record is None:
         fitted = np.isfinite(stress).all(axis=(1, 2, 3))
-        _draw_records(axis, stress[fitted].reshape(int(fitted.sum()), -1, stress.shape[-1]))
+        _draw_records(axis, stress.reshape(len(stress), -1, stress.shape[-1])[fitted])
         axis.set_title(f"{int(fitted.sum())} records: medians and central 68 %", fontsize=10)
+        shown = fitted
     else:
         index = find_record(result, record)
         draws = stress[index].reshape(-1, stress.shape[-1])
         step = max(1, len(draws) // _MOST_DRAWS)
         axis.plot(*lumley_coordinates(draws[::step]), ".", color=POINT_COLOUR, markersize=2, alpha=0.4)
         axis.plot(*(np.median(part) for part in lumley_coordinates(draws)), "o", color=PRIOR_COLOUR, label="median")
-        axis.legend(loc="lower right")
         axis.set_title(f"record {record}: draws of the posterior", fontsize=10)
+        shown = np.arange(len(stress)) == index
+    if marks is not None:
+        points = np.unique(marks[shown], axis=0)
+        axis.plot(*lumley_coordinates(points), "s", color=TRUTH_COLOUR, markersize=5, label="truth", zorder=4)
+    if record is not None or marks is not None:
+        axis.legend(loc="lower right")
     axis.set_xlabel("ξ")
     axis.set_ylabel("η")
     axis.set_xlim(-0.2, 0.36)

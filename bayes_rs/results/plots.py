@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -150,6 +150,20 @@ def plot_corner(
     return target
 
 
+def known_stresses(truth: ArrayLike, n_record: int) -> FloatArray:
+    """Return the true stresses of each record, shape (n_record, 6), from those of all, (6,), or of each, (n_record, 6).
+
+    Raises
+    ------
+    InputError
+        If the shape is neither, or an entry is not finite.
+    """
+    given = np.asarray(truth, dtype=np.float64)
+    if given.ndim == 1:
+        return np.broadcast_to(check_array(given, (6,), what="truth"), (n_record, 6))
+    return check_array(given, (n_record, 6), what="truth")
+
+
 def prior_at_size(result: xr.DataTree, record: int | str) -> FloatArray:
     """Return draws of the prior's shape R/(uu + vv + ww) times the trace of a record's posterior, shape (n, 6)."""
     return _draws(result, find_record(result, record))[1]
@@ -199,7 +213,7 @@ def _finish_corner(figure: FigureBase, posterior: FloatArray, *, has_truth: bool
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.98, 0.94), frameon=False, fontsize=10)
 
 
-def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
+def plot_stresses(result: xr.DataTree, *, prob: float = 0.9, truth: ArrayLike | None = None) -> Figure:
     """Draw the six stresses over time, with credible bands.
 
     Parameters
@@ -208,12 +222,20 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
         From `fit`.
     prob : float
         Probability of the wide band; the narrow one holds half.
+    truth : array_like, shape (6,) or (n_record, 6), optional
+        Known stresses to mark, the same for all records or each record's own, m² s⁻².
 
     Returns
     -------
     figure : Figure
         Six panels: median, central 50 % band and central `prob` band; records that were not fitted or are flagged are
         marked along the bottom.
+
+    Raises
+    ------
+    InputError
+        If the tree is not a result of `fit`, `prob` is not between 0 and 1, or the truth has the wrong shape or is not
+        finite.
     """
     check_result(result)
     if not 0.0 < prob < 1.0:
@@ -221,6 +243,7 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
     observed = group(result, "observed_data")
     stress = group(result, "posterior")["stress"].transpose("record", "component", "chain", "draw").values
     n_record = len(stress)
+    marks = None if truth is None else known_stresses(truth, n_record)
     flat = stress.reshape(n_record, 6, -1)
     levels = [0.5 * (1.0 - prob), 0.25, 0.5, 0.75, 0.5 * (1.0 + prob)]
     bands = np.quantile(flat, levels, axis=-1)  # NaN for records that were not fitted
@@ -229,7 +252,8 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
     flags = group(result, "sample_stats")["flag"].values
     figure = Figure(figsize=(11.0, 11.0), layout="constrained")
     axes = figure.subplots(6, 1, sharex=True)
-    style = {"step": None} if n_record > 1 else {}
+    truth_style: dict[str, Any] = {"color": TRUTH_COLOUR, "linewidth": 1.2, "linestyle": "--" if n_record > 1 else ""}
+    truth_style["marker"] = "s" if n_record == 1 else "." if n_record < 40 else ""
     for index, (axis, name) in enumerate(zip(axes, STRESSES, strict=True)):
         if n_record == 1:
             axis.errorbar(
@@ -241,14 +265,16 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
             )
         else:
             axis.fill_between(
-                when, bands[0, :, index], bands[4, :, index], color=POSTERIOR_COLOUR, alpha=0.2, linewidth=0, **style
+                when, bands[0, :, index], bands[4, :, index], color=POSTERIOR_COLOUR, alpha=0.2, linewidth=0
             )
             axis.fill_between(
-                when, bands[1, :, index], bands[3, :, index], color=POSTERIOR_COLOUR, alpha=0.4, linewidth=0, **style
+                when, bands[1, :, index], bands[3, :, index], color=POSTERIOR_COLOUR, alpha=0.4, linewidth=0
             )
             axis.plot(
                 when, bands[2, :, index], color=POSTERIOR_COLOUR, linewidth=1.2, marker="." if n_record < 40 else ""
             )
+        if marks is not None:
+            axis.plot(when, marks[:, index], **truth_style)
         if index >= 3:
             axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"{name}\n[m² s⁻²]")
@@ -269,18 +295,20 @@ def plot_stresses(result: xr.DataTree, *, prob: float = 0.9) -> Figure:
         Line2D([], [], color=POSTERIOR_COLOUR, alpha=0.4, linewidth=8, label="central 50 %"),
         Line2D([], [], color=POSTERIOR_COLOUR, alpha=0.2, linewidth=8, label=f"central {100 * prob:g} %"),
     ]
+    if marks is not None:
+        handles.append(Line2D([], [], **truth_style, label="truth"))
     if np.any(flags != 0):
         handles.append(
             Line2D([], [], color=PRIOR_COLOUR, marker="|", linestyle="", markersize=9, label="flagged record")
         )
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     axes[-1].set_xlabel("start of the record (UTC)" if has_time else "record")
     if has_time:
         import matplotlib.dates as mdates  # noqa: PLC0415 - only where dates are drawn
 
         locator = mdates.AutoDateLocator()  # type: ignore[no-untyped-call]  # matplotlib has no types here
         axes[-1].xaxis.set_major_locator(locator)
-        formatter = mdates.ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
+        formatter = mdates.ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]  # nor here
         axes[-1].xaxis.set_major_formatter(formatter)
     words = f"{result.attrs['scan']}: {result.attrs['sight']}; prior {result.attrs['prior_name']}"
     figure.suptitle(words, fontsize=11, parse_math=False)  # a name may hold a dollar sign

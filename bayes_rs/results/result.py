@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import sight
@@ -76,6 +77,7 @@ def assemble(
     draws: RecordDraws | None,
     flag: NDArray[np.int64],
     attributes: dict[str, Any],
+    yaw_sd: FloatArray | None = None,
 ) -> xr.DataTree:
     """Put draws, diagnostics and what they came from into one DataTree; records that were not fitted are NaN."""
     n_record = len(usable)
@@ -150,6 +152,7 @@ def assemble(
             "used": (("record", "beam"), usable.astype(np.int8)),
             "wind_speed": (("record",), np.asarray(records["wind_speed"].values, dtype=np.float64), {"units": "m s-1"}),
             "yaw": (("record",), np.asarray(records["yaw"].values, dtype=np.float64), {"units": "degree"}),
+            **({} if yaw_sd is None else {"yaw_sd": (("record",), yaw_sd, {"units": "degree"})}),
         },
         coords=beam_coords,
     )
@@ -194,7 +197,7 @@ def check_result(result: xr.DataTree) -> xr.DataTree:
 
 def noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
     """Return which noise it is, as plain numbers and texts."""
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    models = noise.models
     first = models[0]
     return {
         "method": first.method,

@@ -18,16 +18,15 @@ from bayes_rs.turbulence.log_transform import ComplexArray, bessel_mellin, cosin
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.one_point import isotropic_tensor
 from bayes_rs.turbulence.spectral_tensor import lifetime_shape, scaled_tensor
+from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stencil
 
+INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""The two indices of each of the six stresses."""
 _ODD_IN_K2 = (STRESSES.index("uv"), STRESSES.index("vw"))
-_INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _CORE = 0.01  # L: separations below it are interpolated as evenly as at it
 _LEAST_REACH = (256.0, 4.0)  # L, along and across: a table reaches at least so far, and then to powers of four
-_STENCIL = 6  # points of the local interpolation, fifth order
-_BIAS_ACROSS, _BIAS_ALONG = (
-    0.3,
-    0.5,
-)  # exponents that make both transforms decay at both ends; results do not depend on them
+# exponents that make both transforms decay at both ends; results do not depend on them
+_BIAS_ACROSS, _BIAS_ALONG = 0.3, 0.5
 
 
 class Resolution(NamedTuple):
@@ -198,7 +197,7 @@ def radial_covariance(
     )
     table = covariance_table(turbulence.gamma, extent, tolerance=tolerance)
     weights = np.stack(
-        [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in _INDEX_PAIRS], axis=-1
+        [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in INDEX_PAIRS], axis=-1
     )
     sheared = table.project(across_scaled[:, 0], across_scaled[:, 1], weights, along_scaled)
     return turbulence.velocity_scale**2 * (sheared + isotropic_radial(n_a, n_b, across_scaled, along_scaled))
@@ -308,11 +307,11 @@ class CovarianceTable:
         covariance : ndarray, shape (n, n_lag)
             In αε^(2/3) L^(2/3).
         """
-        n_distance, n_direction, n_along = self.shape
-        near, near_weight = _stencil(_stretch(np.hypot(y, z)) / self.table_step + (_STENCIL // 2), n_distance)
+        n_distance, n_direction, _ = self.shape
+        near, near_weight = stencil(_stretch(np.hypot(y, z)) / self.table_step + (STENCIL // 2), n_distance)
         turn = np.abs(np.arctan2(y, z))  # components odd in y change sign with it
         mirrored = np.where((np.arctan2(y, z) < 0.0)[:, np.newaxis] & _odd_mask(), -weights, weights)
-        facing, facing_weight = _stencil(turn / self.direction_step + (_STENCIL // 2), n_direction)
+        facing, facing_weight = stencil(turn / self.direction_step + (STENCIL // 2), n_direction)
         pair_weight = np.einsum("nc,nd,na->ncda", mirrored, near_weight, facing_weight)
         component = n_distance * n_direction * np.arange(len(STRESSES))
         column = (
@@ -326,12 +325,7 @@ class CovarianceTable:
         )
         lines = np.ascontiguousarray(operator @ self.values)
         position = np.sign(x) * _stretch(np.abs(x)) / self.table_step - self.along_start
-        first, along_weight = _stencil_weights(position, n_along)
-        flat, offset = lines.ravel(), first + (n_along * np.arange(len(y)))[:, np.newaxis]
-        total = np.zeros_like(x)
-        for point in range(_STENCIL):
-            total += along_weight[point] * flat[offset + point]
-        return total
+        return interpolate_rows(lines, position)
 
 
 def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) -> CovarianceTable:
@@ -346,7 +340,7 @@ def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) 
 @lru_cache(maxsize=16)
 def _build_table(gamma: float, along: float, across: float, tolerance: float) -> CovarianceTable:
     promised, resolution = resolution_for(tolerance, gamma)
-    ghost = _STENCIL // 2
+    ghost = STENCIL // 2
     step = resolution.table_step
     n_distance = int(np.ceil(_stretch(np.asarray(across)) / step)) + 1
     distance = _CORE * np.sinh(step * np.arange(n_distance + ghost))
@@ -449,25 +443,3 @@ def _stretch(distance: FloatArray) -> FloatArray:
 
 def _odd_mask() -> NDArray[np.bool_]:
     return np.isin(np.arange(len(STRESSES)), _ODD_IN_K2)
-
-
-def _stencil(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the grid points, shape (n, 6), and weights of the interpolation at fractional `position`."""
-    first, weights = _stencil_weights(position, count)
-    return first[:, np.newaxis] + np.arange(_STENCIL), np.stack(weights, axis=-1)
-
-
-def _stencil_weights(position: FloatArray, count: int) -> tuple[NDArray[np.int64], list[FloatArray]]:
-    """Return the first grid point and the six Lagrange weights at fractional `position` on a grid of `count` points."""
-    first = np.clip(np.floor(position).astype(np.int64) - (_STENCIL // 2 - 1), 0, count - _STENCIL)
-    t = position - first
-    factors = [t - j for j in range(_STENCIL)]
-    weights = []
-    for point in range(_STENCIL):
-        numerator, denominator = np.ones_like(t), 1.0
-        for other in range(_STENCIL):
-            if other != point:
-                numerator = numerator * factors[other]
-                denominator *= point - other
-        weights.append(numerator / denominator)
-    return first, weights
