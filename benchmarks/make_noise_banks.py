@@ -14,18 +14,24 @@ from bayes_rs.models import models_folder
 from bayes_rs.noise.model import NoiseBank
 from bayes_rs.noise.reading import load_noise
 
-SCANS = ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
+SCANS = {name: name for name in ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam")} | {
+    "zx-tm": "zx-tm",
+    "zx-tm-point": "zx-tm@probe=point",
+    "pulsed-4-beam": "pulsed-4-beam",
+    "pulsed-4-beam-point": "pulsed-4-beam@probe=point",
+}
+"""The scans by the names of their files."""
 WIND_SPEEDS = (3.0, 25.0)
 YAWS_DEG = (-60.0, 60.0)
 
 
 def main(names: list[str]) -> None:
-    """Make the banks of the scans that are named, or of all."""
+    """Make the banks of the files that are named, or of all."""
     turbulence = load_turbulence("fu-2022")
     print("| scan | beams | states | error of K between them | file, kB | seconds |\n|---|---|---|---|---|---|")
     for name in names or SCANS:
         start = time.perf_counter()
-        scan = load_scan(name)
+        scan = load_scan(SCANS[name])
         bank = theory_bank(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
         seconds = time.perf_counter() - start
         error = measure_interpolation(bank, scan)  # with all beams, not some

@@ -393,7 +393,7 @@ class TestNoise:
         assert np.all((noise.bias < 0.0) & (noise.bias > -1.0))
         assert noise.details["negative_part"] < PROBE_ERROR
 
-    @pytest.mark.parametrize("name", ["zx-tm-probe", "pulsed-4-beam-probe"])
+    @pytest.mark.parametrize("name", ["zx-tm", "pulsed-4-beam"])
     def test_presets(self, name):
         scan = load_scan(name)
         noise = theory_noise(scan, SEED, wind_speed=10.0)
@@ -404,8 +404,8 @@ class TestNoise:
     @pytest.mark.slow
     @pytest.mark.long
     def test_spinnerlidar_with_its_probe(self):
-        noise = theory_noise(load_scan("spinnerlidar-probe"), SEED, wind_speed=10.0)
-        points = theory_noise(load_scan("spinnerlidar"), SEED, wind_speed=10.0)
+        noise = theory_noise(load_scan("spinnerlidar"), SEED, wind_speed=10.0)
+        points = theory_noise(load_scan("spinnerlidar@probe=point"), SEED, wind_speed=10.0)
         assert noise.details["negative_part"] < PROBE_ERROR
         assert np.all(noise.relative_error > points.relative_error)
 
@@ -434,11 +434,11 @@ class TestNoise:
 class TestFilesAndNames:
     def test_points_leave_keys_as_they_were(self):
         assert "probe" not in load_scan("6-beam").geometry()
-        assert load_scan("zx-tm-probe", probe="point").key == load_scan("zx-tm").key
-        assert load_scan("zx-tm-probe").key != load_scan("zx-tm").key
+        assert load_scan("zx-tm", probe="point").key == load_scan("zx-tm@probe=point").key
+        assert load_scan("zx-tm").key != load_scan("zx-tm@probe=point").key
 
     def test_noise_keeps_its_probe_in_a_file(self, tmp_path):
-        scan = load_scan("pulsed-4-beam-probe")
+        scan = load_scan("pulsed-4-beam")
         noise = theory_noise(scan, SEED, wind_speed=10.0)
         noise.save(tmp_path / "noise.nc")
         again = load_noise(tmp_path / "noise.nc")
@@ -447,14 +447,14 @@ class TestFilesAndNames:
         again.select([1, 2]).check_scan(scan.select([1, 2]))
 
     def test_noise_with_and_without_a_probe_do_not_mix(self):
-        with_probe, without = load_scan("pulsed-4-beam-probe"), load_scan("pulsed-4-beam")
+        with_probe, without = load_scan("pulsed-4-beam"), load_scan("pulsed-4-beam@probe=point")
         noise = theory_noise(with_probe, SEED, wind_speed=10.0)
         message = (
-            "the probe is pulsed, gaussian, gate_length 30 m, pulse_length 30 m in the noise and a point in the scan"
+            "the probe is pulsed, top-hat, gate_length 30 m, pulse_length 30 m in the noise and a point in the scan"
         )
         with pytest.raises(NoiseMismatchError, match=message):
             noise.check_scan(without)
-        with pytest.raises(NoiseMismatchError, match="the probe is a point in the noise and pulsed, gaussian, gate"):
+        with pytest.raises(NoiseMismatchError, match="the probe is a point in the noise and pulsed, top-hat, gate"):
             theory_noise(without, SEED, wind_speed=10.0).check_scan(with_probe)
 
     @given(st.floats(0.1, 100.0), st.floats(0.1, 100.0))

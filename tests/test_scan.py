@@ -12,6 +12,7 @@ from bayes_rs import InputError, Scan, load_scan
 from bayes_rs.geometry.probe import ContinuousWaveProbe, PointProbe
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.geometry.scan_file import cone_direction
+from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.models import models_folder, preset_names
 
 ANGLE = st.floats(-np.pi, np.pi)
@@ -127,34 +128,112 @@ class TestOverrides:
             load_scan("pulsed-4-beam", opening_angle_deg=20.0)
 
     def test_probe_can_be_switched_off_or_given(self):
-        scan = load_scan("zx-tm-probe")
+        scan = load_scan("zx-tm")
         np.testing.assert_allclose(scan.probe_length, 1.565e-6 * 50.0**2 / (np.pi * 0.028**2))
-        assert load_scan("zx-tm-probe", probe="point").geometry() == load_scan("zx-tm").geometry()
+        assert load_scan("zx-tm", probe="point").probe == PointProbe()
+        assert load_scan("6-beam", probe="zx-tm").probe == scan.probe
         given = load_scan("6-beam", probe=ContinuousWaveProbe(rayleigh_length=3.0))
         assert given.geometry()["probe"] == {"kind": "continuous-wave", "rayleigh_length": 3.0}
         assert given.key != load_scan("6-beam").key
         assert given.select([2, 3]).probe == given.probe
 
     def test_other_names_of_probes_are_refused(self):
-        with pytest.raises(
-            InputError, match=r"Invalid probe 'pulsed': it must be 'point', or a probe with its lengths"
-        ):
+        message = (
+            r"Invalid probe 'pulsed': it must be 'point', a scan that has one, .* No preset 'pulsed' in models/scans"
+        )
+        with pytest.raises(InputError, match=message):
             load_scan("6-beam", probe="pulsed")
 
-    @pytest.mark.parametrize("name", ["zx-tm", "zx-300", "spinnerlidar", "pulsed-4-beam"])
-    def test_presets_with_a_probe_are_the_ones_without_but_for_it(self, name):
-        with_probe, without = load_scan(f"{name}-probe"), load_scan(name)
+    @pytest.mark.parametrize("name", ["zx-tm", "zx-300", "spinnerlidar", "spinnerlidar-planes", "pulsed-4-beam"])
+    def test_instruments_have_their_probe_and_are_points_on_request(self, name):
+        with_probe, without = load_scan(name), load_scan(name, probe="point")
         assert without.probe == PointProbe()
         assert np.all(with_probe.probe_length > 0.0)
         geometry = with_probe.geometry()
         geometry.pop("probe")
         assert geometry == without.geometry()
         assert with_probe.file_format == without.file_format
+        assert "assumption" in with_probe.source
+
+    def test_geometries_without_an_instrument_are_points(self):
+        instruments = {"zx-tm", "zx-300", "spinnerlidar", "spinnerlidar-planes", "pulsed-4-beam"}
+        assert {name for name in preset_names("scans") if load_scan(name).probe != PointProbe()} == instruments
+
+    def test_the_weighting_of_the_pulsed_lidar_is_30_m_wide_at_half_its_height(self):
+        probe = load_scan("pulsed-4-beam").probe
+        np.testing.assert_allclose(probe.weighting([-15.0, 0.0, 15.0], 178.0) * 30.0, [0.5, 1.0, 0.5], rtol=1e-12)
 
     @pytest.mark.parametrize("distance", [-98.0, 0.0, np.nan, np.inf])
     def test_bad_focus_distance_is_refused(self, distance):
         with pytest.raises(InputError, match=r"Invalid scan file .*6-beam.toml': beams.focus_distance"):
             load_scan("6-beam", focus_distance=distance)
+
+
+class TestChangesBehindTheName:
+    def test_are_those_of_the_arguments_and_stay_in_the_name(self):
+        scan = load_scan("zx-300@focus_distance=49+98,tilt_deg=-2.5,probe=point")
+        other = load_scan("zx-300", focus_distance=[49.0, 98.0], tilt_deg=-2.5, probe="point")
+        assert (scan.key, scan.n_beam) == (other.key, 100)
+        assert (scan.name, other.name) == ("zx-300@focus_distance=49+98,tilt_deg=-2.5,probe=point", "zx-300")
+        assert load_scan("6-beam@probe=zx-tm").probe == load_scan("zx-tm").probe
+        assert load_scan("6-beam@yaw_deg=3", tilt_deg=1.0).key == load_scan("6-beam", tilt_deg=1.0).key
+
+    def test_of_a_file_even_if_its_path_has_an_at(self, tmp_path):
+        folder = tmp_path / "me@home"
+        folder.mkdir()
+        file = save_scan(load_scan("zx-tm"), folder / "mine@probe=point.toml")
+        assert load_scan(file).key == load_scan("zx-tm").key  # a file of that name wins
+        assert load_scan(f"{file}@probe=point").key == load_scan("zx-tm@probe=point").key
+        assert load_scan(f"{file}@probe=point").name == "mine@probe=point@probe=point"
+        missing = folder / "none.toml"
+        with pytest.raises(InputError, match=f"No file '{missing}'"):
+            load_scan(missing)
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("6-beam@", "Invalid change '' of scan '6-beam': behind the @ stand changes such as probe=point"),
+            ("6-beam@point", "Invalid change 'point' of scan '6-beam'"),
+            ("6-beam@tilt_deg=", "Invalid change 'tilt_deg=' of scan '6-beam'"),
+            ("6-beam@angle=3", "Unknown change 'angle' of scan '6-beam'"),
+            ("6-beam@tilt_deg=a", "Invalid tilt_deg 'a' of scan '6-beam': it must be a number"),
+            ("6-beam@tilt_deg=1+2", "only focus distances may be several"),
+            ("6-beam@tilt_deg=1,tilt_deg=2", "it changes tilt_deg twice"),
+            ("6-beam@tilt_deg=nan", "mounting.tilt_deg = nan"),
+            ("6-beam@probe=no-such-scan", "Invalid probe 'no-such-scan'"),
+            ("7-beam@tilt_deg=1", "No preset '7-beam'"),
+            ("pulsed-4-beam@opening_angle_deg=20", "lists its beams one by one"),
+        ],
+    )
+    def test_refused(self, text, message):
+        with pytest.raises(InputError, match=message) as caught:
+            load_scan(text)
+        assert "\n" not in str(caught.value)
+
+    def test_given_twice(self):
+        with pytest.raises(InputError, match=r"Invalid scan '6-beam@tilt_deg=1': tilt_deg is also given as an option"):
+            load_scan("6-beam@tilt_deg=1", tilt_deg=2.0)
+
+
+class TestProbeOfABase:
+    @pytest.mark.parametrize(
+        ("probe", "parameters"),
+        [
+            ('kind = "point"', {}),
+            (
+                'kind = "pulsed"\ngate_length = 20.0',
+                {"kind": "pulsed", "pulse": "top-hat", "gate_length": 20.0, "pulse_length": 20.0},
+            ),
+            (
+                "aperture_radius = 0.05",
+                {"kind": "continuous-wave", "wavelength": 1.565e-6, "aperture_radius": 0.05},
+            ),
+        ],
+    )
+    def test_another_kind_replaces_it_and_a_length_changes_it(self, probe, parameters, tmp_path):
+        file = tmp_path / "mine.toml"
+        file.write_text(f'base = "zx-tm"\n\n[probe]\n{probe}\n', encoding="utf-8")
+        assert load_scan(file).probe.parameters() == parameters
 
 
 class TestKey:

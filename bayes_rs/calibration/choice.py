@@ -178,7 +178,7 @@ def _from_boxes(
 
 
 def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence) -> str:
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    models = noise.models
     words = (
         f"noise: {kept}, {turbulence.name}, method {models[0].method}, {len(models)} state{'s' * (len(models) > 1)} "
         f"({_span([m.wind_speed for m in models])} m/s, yaw {_span([np.rad2deg(m.yaw) for m in models])}°"

@@ -99,7 +99,7 @@ def find_shipped_noise(
         if not set(scan.beam.tolist()) <= set(noise.beam.tolist()):
             continue
         noise = noise.select(scan.beam)
-        models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+        models = noise.models
         if not _fits(models[0], scan, turbulence, duration):
             continue
         if wind_speed is None and yaw is None:
@@ -138,7 +138,7 @@ def from_cache(file: Path, key: str) -> tuple[NoiseModel | NoiseBank | None, str
     except (InputError, OSError) as error:
         _log.warning("The cached noise %s is damaged and is calculated again: %s", file, error)
         return None, str(error)
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    models = noise.models
     if any(model.details.get("key") != key for model in models):
         _log.warning("The cached noise %s belongs to another key and is calculated again.", file)
         return None, "it belongs to another key"

@@ -129,7 +129,7 @@ class PointProbe(Probe):
         """Return zeros."""
         return np.zeros_like(np.asarray(focus_distance, dtype=np.float64))
 
-    def weighting(self, distance: ArrayLike, focus_distance: ArrayLike) -> FloatArray:  # noqa: ARG002
+    def weighting(self, distance: ArrayLike, focus_distance: ArrayLike) -> FloatArray:  # noqa: ARG002 - a point has none
         """Refuse: the weighting is Dirac's delta."""
         raise InputError("A point has no weighting function: it sees one place only.")
 

@@ -186,7 +186,23 @@ class Scan:
         return np.asarray(self.level_direction @ yaw_matrix(yaw), dtype=np.float64)
 
     def with_yaw(self, yaw: float) -> Scan:
-        """Return this scan in wind from another direction; `yaw` in rad."""
+        """Return this scan in wind from another direction.
+
+        Parameters
+        ----------
+        yaw : float
+            Wind direction relative to the lidar axis ψ, rad (`load_scan` and files take `yaw_deg`, degrees).
+
+        Returns
+        -------
+        scan : Scan
+            The same scan, turned.
+
+        Raises
+        ------
+        InputError
+            If it is not finite.
+        """
         return replace(self, yaw=float(yaw))
 
     def select(self, beams: ArrayLike) -> Scan:

@@ -1,4 +1,4 @@
-"""Scans from TOML files: the patterns that beams can be written as, and the overrides that a user may ask for."""
+"""Scans from TOML files: the patterns that beams can be written as, and a scan by its name."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_changes import split_changes
 from bayes_rs.models import find_model
 from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml, shown
 
@@ -216,7 +217,8 @@ def load_scan(
     Parameters
     ----------
     name : str or Path
-        Name of a preset, or path of a ``.toml`` file.
+        Name of a preset, or path of a ``.toml`` file; behind an ``@`` it may carry the changes below, as in
+        ``"zx-300@focus_distance=49+98,probe=point"``.
     opening_angle_deg : float, optional
         Another half-cone opening angle, degrees; for a rosette its largest one.
     focus_distance : float or sequence of float, optional
@@ -224,25 +226,42 @@ def load_scan(
     tilt_deg, yaw_deg : float, optional
         Another mounting, degrees.
     probe : str or Probe, optional
-        ``"point"`` for beams without a probe volume, or another probe; by default the file's own.
+        ``"point"`` for beams without a probe volume, the name of a scan whose probe it is, or a probe; by default the
+        file's own.
 
     Returns
     -------
     scan : Scan
-        The scan. Beams of several planes are numbered plane by plane.
+        The scan. Beams of several planes are numbered plane by plane. Changes behind an ``@`` stay in its name.
 
     Raises
     ------
     InputError
-        If there is no such preset or file, the file is not valid, or an override does not apply to the scan's pattern.
+        If there is no such preset or file, the file is not valid, a change does not apply to the scan's pattern, or is
+        given both behind the ``@`` and as an argument.
 
     Examples
     --------
     >>> load_scan("6-beam", opening_angle_deg=45.0).n_beam
     6
-    >>> load_scan("spinnerlidar-probe").probe_length[0].round(2), load_scan("spinnerlidar-probe", probe="point").probe
+    >>> load_scan("spinnerlidar").probe_length[0].round(2), load_scan("spinnerlidar@probe=point").probe
     (np.float64(1.72), PointProbe())
     """
+    base, changes = split_changes(name)
+    if changes:
+        arguments = {
+            "opening_angle_deg": opening_angle_deg,
+            "focus_distance": focus_distance,
+            "tilt_deg": tilt_deg,
+            "yaw_deg": yaw_deg,
+            "probe": probe,
+        }
+        for key, value in arguments.items():
+            if value is not None and key in changes:
+                raise InputError(f"Invalid scan {str(name)!r}: {key} is also given as an option; give it once.")
+        given = {key: value for key, value in arguments.items() if value is not None}
+        scan = load_scan(base, **{**given, **changes})
+        return replace(scan, name=f"{scan.name}@{str(name).rpartition('@')[2]}")
     path = find_model(name, "scans")
     table = _read_table(path)
     overrides: dict[str, dict[str, Any]] = {
@@ -256,17 +275,20 @@ def load_scan(
             "apply: write a TOML file with the beams that you want."
         )
     scan = _build(path.stem, _validate(table, path))
-    return scan if probe is None else replace(scan, probe=_checked_probe(probe))
+    return scan if probe is None else replace(scan, probe=_probe_of(probe))
 
 
-def _checked_probe(probe: str | Probe) -> Probe:
+def _probe_of(probe: str | Probe) -> Probe:
     if isinstance(probe, Probe):
         return probe
-    if probe != "point":
+    if probe == "point":
+        return make_probe(probe)
+    try:
+        return load_scan(probe).probe
+    except InputError as error:
         raise InputError(
-            f"Invalid probe {probe!r}: it must be 'point', or a probe with its lengths, as make_probe returns it."
-        )
-    return make_probe(probe)
+            f"Invalid probe {probe!r}: it must be 'point', a scan that has one, or what make_probe returns. {error}"
+        ) from error
 
 
 def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
@@ -292,6 +314,8 @@ def _read_table(path: Path, deeper: int = 0) -> dict[str, Any]:
         )
     base_path = path.parent / f"{name}.toml"
     base = _read_table(base_path if base_path.is_file() else find_model(name, "scans"), deeper + 1)
+    if isinstance(table.get("probe"), dict) and "kind" in table["probe"]:
+        base.pop("probe", None)  # the lengths of one kind mean nothing to another
     return _merge(base, {key: value for key, value in table.items() if key != "base"})
 
 
