@@ -80,6 +80,8 @@ class Batch:
         What takes the gains to the records' own tilt and roll (`gain_turn`), where those were measured.
     instrument_noise : ndarray, shape (n_record, n_beam), optional
         Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
+    yaw_sd : ndarray, shape (n_record,), optional
+        Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
     """
 
     variance: FloatArray
@@ -90,6 +92,7 @@ class Batch:
     flow: dict[str, FloatArray] = field(default_factory=dict)
     turn: FloatArray | None = None
     instrument_noise: FloatArray | None = None
+    yaw_sd: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -106,6 +109,7 @@ class Batch:
             {name: values[records] for name, values in self.flow.items()},
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
+            None if self.yaw_sd is None else self.yaw_sd[records],
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
@@ -268,7 +272,7 @@ def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions
         if factor == 1.0:
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
-    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
     posterior = Posterior(likelihood, options.prior, nuisances)
     chains, streams = sample(
         options.sampler,
@@ -327,7 +331,7 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
         if factor == 1.0:
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
-    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options))
+    nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
     return Posterior(likelihood, options.prior, nuisances), at_record
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_non_negative, check_positive
+from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
@@ -25,8 +25,13 @@ class Nuisances:
 
     Parameters
     ----------
-    yaw_sd_deg : float
-        Standard deviation of the error of a record's wind direction relative to the lidar, degrees.
+    yaw_sd_deg : float or str
+        Standard deviation of the error of a record's wind direction relative to the lidar, degrees; or ``"records"``,
+        the ``yaw_sd`` (record) of the records, as from `mean_wind` with a turbulence. A record whose own is 0 has a
+        known direction.
+    yaw_sd_missing_deg : float, optional
+        With ``"records"``, the standard deviation of records that have none, degrees, such as those whose direction
+        their beams do not see. By default such a record is refused.
     tilt_sd_deg : float
         Standard deviation of the error of the lidar's tilt, degrees.
     instrument_noise_log_sd : float
@@ -47,13 +52,16 @@ class Nuisances:
     Raises
     ------
     InputError
-        If a width is negative or not finite, or a factor is not positive.
+        If a width is negative or not finite, a factor is not positive, or `yaw_sd_missing_deg` is given without
+        ``"records"``.
 
     Notes
     -----
     An error of yaw or tilt turns R, since n Q R Qᵀ nᵀ is the variance of the beam n Q; the noise stays that of the
     nominal direction. Yaw, tilt, the instrument's noise and the gradients are sampled as coordinates of their own,
-    normal a priori.
+    normal a priori. The errors of yaw are independent from record to record, and of the errors of the variances: in
+    Gaussian turbulence a record's means and variances are uncorrelated. A bias that all records share is not one of
+    them; it does not average out.
 
     Gradients γ make the six stresses grow and fall together, R(y, z) = R exp(γ_y y + γ_z z) with y and z from the
     middle of the scan's points (`bayes_rs.geometry.inflow.gradient_columns`), where R is that of the result. It stays
@@ -70,7 +78,8 @@ class Nuisances:
     1
     """
 
-    yaw_sd_deg: float = 0.0
+    yaw_sd_deg: float | str = 0.0
+    yaw_sd_missing_deg: float | None = None
     tilt_sd_deg: float = 0.0
     instrument_noise_log_sd: float = 0.0
     length_scale_log_sd: float = 0.0
@@ -82,8 +91,18 @@ class Nuisances:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        if isinstance(self.yaw_sd_deg, str):
+            check_choice(self.yaw_sd_deg, ("records",), what="yaw_sd_deg")
+        else:
+            check_non_negative(self.yaw_sd_deg, what="yaw_sd_deg", unit="°", where="the nuisances")
+        if self.yaw_sd_missing_deg is not None:
+            check_non_negative(self.yaw_sd_missing_deg, what="yaw_sd_missing_deg", unit="°", where="the nuisances")
+            if not self.yaw_sd_of_records:
+                raise InputError(
+                    f"Invalid yaw_sd_missing_deg {self.yaw_sd_missing_deg:g} with yaw_sd_deg {self.yaw_sd_deg:g}: it "
+                    "stands in for records without a yaw_sd of their own; give yaw_sd_deg='records', or leave it out."
+                )
         for name, unit in (
-            ("yaw_sd_deg", "°"),
             ("tilt_sd_deg", "°"),
             ("instrument_noise_log_sd", ""),
             ("length_scale_log_sd", ""),
@@ -103,12 +122,17 @@ class Nuisances:
     def names(self) -> tuple[str, ...]:
         """Names of the sampled ones, in the order of their coordinates."""
         switch = {
-            "yaw_error": self.yaw_sd_deg,
-            "tilt_error": self.tilt_sd_deg,
-            "instrument_noise": self.instrument_noise_log_sd,
-            **self._gradient_sd,
+            "yaw_error": self.yaw_sd_of_records or bool(self.yaw_sd_deg),
+            "tilt_error": self.tilt_sd_deg > 0.0,
+            "instrument_noise": self.instrument_noise_log_sd > 0.0,
+            **dict.fromkeys(self.gradient_names, True),
         }
-        return tuple(name for name, width in switch.items() if width > 0.0)
+        return tuple(name for name, on in switch.items() if on)
+
+    @property
+    def yaw_sd_of_records(self) -> bool:
+        """Whether each record says itself how uncertain its wind direction is."""
+        return isinstance(self.yaw_sd_deg, str)
 
     @property
     def _gradient_sd(self) -> dict[str, float]:
@@ -136,7 +160,12 @@ class Nuisances:
     def in_words(self) -> str:
         """Say in one line what is uncertain beside R."""
         parts = []
-        if self.yaw_sd_deg:
+        if self.yaw_sd_of_records:
+            missing = self.yaw_sd_missing_deg
+            parts.append(
+                "yaw ± what each record says" + (f" ({missing:g}° where it does not)" if missing is not None else "")
+            )
+        elif self.yaw_sd_deg:
             parts.append(f"yaw ± {self.yaw_sd_deg:g}°")
         if self.tilt_sd_deg:
             parts.append(f"tilt ± {self.tilt_sd_deg:g}°")
@@ -196,11 +225,14 @@ class RecordNuisances:
         Nominal wind direction relative to the lidar, rad.
     instrument_noise : float or ndarray, shape (n_record, 1)
         Median of the instrument's noise variance, m² s⁻²; used where it is uncertain.
+    yaw_sd : ndarray, shape (n_record,), optional
+        Standard deviations of the yaw errors, degrees, where `choice` leaves them to the records.
     """
 
     choice: Nuisances = field(default_factory=Nuisances)
     yaw: FloatArray = field(default_factory=lambda: np.zeros(0))
     instrument_noise: FloatArray | float = 0.0
+    yaw_sd: FloatArray | None = None
 
     @property
     def n_coordinate(self) -> int:
@@ -219,7 +251,9 @@ class RecordNuisances:
                 found[name] = self._width(name) * coordinate[..., index]
         return found
 
-    def _width(self, name: str) -> float:
+    def _width(self, name: str) -> FloatArray | float:
+        if name == "yaw_error" and self.yaw_sd is not None:
+            return self.yaw_sd[:, None]
         return float(
             getattr(self.choice, {"yaw_error": "yaw_sd_deg", "tilt_error": "tilt_sd_deg"}.get(name, f"{name}_sd"))
         )
@@ -266,4 +300,5 @@ class RecordNuisances:
             self.choice,
             self.yaw[records] if len(self.yaw) else self.yaw,
             noise[records] if isinstance(noise, np.ndarray) else noise,
+            None if self.yaw_sd is None else self.yaw_sd[records],
         )

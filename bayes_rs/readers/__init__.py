@@ -97,7 +97,8 @@ def read_radial_velocity(
         Largest difference between a gate and a beam's focus distance, m. By default half the spacing of the gates;
         of a ray with one gate, a twentieth of the distance.
     phase_zero_deg : float, optional
-        Where on the scan's cone a file's phase is zero: an angle θ, 0 sideways (y), 90 up; 0 if not said anywhere.
+        Where on the scan's cone a file's phase is zero: an angle θ, 0 sideways (y), 90 up; 0 if not said anywhere. A
+        ``zx`` file whose phase is found by its heading needs it, and `phase_turns`.
     phase_turns : {"up", "down"}, optional
         Whether the phase grows from sideways (y) upwards, as θ does, or downwards; up if not said anywhere.
     out_of_order : {"error", "sort"}

@@ -11,6 +11,8 @@ from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import plain_suffix
 
 TEMPORARY_SUFFIXES = (".tmp", ".temp", ".part", ".partial", ".crdownload", ".filepart", ".swp", ".bak")
+UNFINISHED = (".partial-", ".replaced-")
+"""In the name of a folder that a run of ours was writing when it was stopped."""
 _WILD = "*?["
 
 
@@ -67,7 +69,7 @@ def find_files(files: str | Path | Sequence[str | Path], suffixes: Collection[st
         elif path.is_file():
             paths[path] = None
         elif any(character in str(entry) for character in _WILD):
-            matched = sorted(Path(file) for file in glob.glob(str(entry), recursive=True) if Path(file).is_file())  # noqa: PTH207
+            matched = sorted(Path(file) for file in glob.glob(str(entry), recursive=True) if Path(file).is_file())  # noqa: PTH207 - Path.glob knows no absolute pattern
             if not matched:
                 raise InputError(f"Pattern {str(entry)!r} matches no file: check the path and the pattern.")
             paths.update(dict.fromkeys(matched))
@@ -79,6 +81,8 @@ def find_files(files: str | Path | Sequence[str | Path], suffixes: Collection[st
 def _passed_over(relative: Path, suffixes: Collection[str]) -> str:
     if any(part.startswith(".") for part in relative.parts):
         return "hidden"
+    if any(mark in part for part in relative.parts[:-1] for mark in UNFINISHED):
+        return "temporary"
     name = relative.name
     if name.endswith("~") or name.startswith("~$") or relative.suffix.lower() in TEMPORARY_SUFFIXES:
         return "temporary"

@@ -47,7 +47,7 @@ _ALL = (
     Reader(
         name="zx",
         title="ZX TM, ZX 300 (ZephIR), line-of-sight velocities with a phase",
-        source="no layout is published: columns by the option columns",
+        source="files of ZX's converter; headings of the 50 Hz data are assumed, or named by the option columns",
         suffixes=ZX_SUFFIXES,
         recognises=recognises_zx,
         read=read_zx,

@@ -35,6 +35,8 @@ class Samples:
     """Where each sample stands in its file, as a person would count."""
     row_word: str
     counts: dict[str, int] = field(default_factory=dict)
+    out_of_order: int | None = None
+    """Samples earlier than one of the same beam above them in the file, where these are only a piece of it."""
 
     def select(self, index: NDArray[Any], *, with_counts: bool) -> Samples:
         """Return some of the samples, with the counts of the file or with none."""
@@ -47,6 +49,7 @@ class Samples:
             status=None if self.status is None else self.status[index],
             row=self.row[index],
             counts=self.counts if with_counts else dict.fromkeys(self.counts, 0),
+            out_of_order=self.out_of_order if with_counts else 0,
         )
 
     def where(self, index: int) -> str:
@@ -109,7 +112,7 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     """
     of_files = report or FilesReport()
     status_valid = _one_status(parts)
-    backwards = [int(_backwards(part).sum()) for part in parts]
+    backwards = [count_backwards(part) if part.out_of_order is None else part.out_of_order for part in parts]
     time = np.concatenate([part.time for part in parts])
     beam = np.concatenate([part.beam for part in parts])
     velocity = np.concatenate([part.radial_velocity for part in parts])
@@ -185,7 +188,16 @@ def _options_used(file_format: FileFormat) -> dict[str, Any]:
         "time_stamp": file_format.time_stamp,
         "sample_duration": file_format.sample_duration,
         "options_of_format": sorted(file_format.from_format),
+        "columns": dict(file_format.columns),
     }
+
+
+def count_backwards(part: Samples, latest: Mapping[int, np.datetime64] | None = None) -> int:
+    """Count the samples that are earlier than one of the same beam above them, in this piece or before (`latest`)."""
+    backwards = _backwards(part)
+    for beam, before in (latest or {}).items():
+        backwards = backwards | (part.beam == beam) & (part.time < before)
+    return int(backwards.sum())
 
 
 def _backwards(part: Samples) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -21,6 +21,7 @@ from bayes_rs.readers.samples import (
     Samples,
     as_utc,
     check_order,
+    count_backwards,
     join_samples,
     no_sample,
     none_read,
@@ -185,12 +186,13 @@ class _Merge:
                 return False
             if part.file_format.out_of_order == "error":
                 check_order(part)
+            out_of_order = count_backwards(part, source.latest)
             self._check_order(part, source)
         except InputError as error:
             self._skip(source.file, error)
             return False
         source.n_row += part.counts.get("rows", 0)
-        self.held.append(part)
+        self.held.append(replace(part, out_of_order=out_of_order))
         if len(part.time):
             source.reached = max(source.reached, part.time.max())
         return True

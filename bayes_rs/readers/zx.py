@@ -1,9 +1,10 @@
-"""ZX lidars (formerly ZephIR): line-of-sight velocities by a column map, and the statistics of ten minutes."""
+"""ZX lidars (formerly ZephIR): line-of-sight velocities, a row for each point, and the statistics of ten minutes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,12 @@ from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Table, open_table
 
 SUFFIXES = (".csv", ".txt", ".parquet", ".pq")
-DEFAULTS = {"positive": "towards", "invalid": (9999.0, 9998.0)}
+INVALID = tuple(float(number) for number in range(9987, 10000))
+"""What stands for a missing number; each says another reason."""
+DEFAULTS = {"positive": "towards", "invalid": INVALID, "phase_zero_deg": 0.0, "phase_turns": "up"}
+
+TIME_HEADINGS = ("Timestamp (ISO 8601)", "Time and Date")
+"""What ZX's converter calls the time, in files of wind and statistics."""
 
 STATISTICS = {
     "Horizontal Wind Speed (m/s)": ("wind_speed", "m s-1"),
@@ -53,15 +59,49 @@ SITE = {
 _CONVERTER = "CSV Converter"
 _AT_HEIGHT = re.compile(r"(.+?) at (\d+(?:[.,]\d+)?)\s*m")
 _ZONE = re.compile(r"Time sync: UTC\s*(?:([+-])\s*(\d{1,2})[.,]?(\d*)\s*hrs)?")
-_TIME_FORMATS = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d/%m/%Y %H:%M")
+_TIME_FORMATS = (
+    "%d.%m.%Y %H:%M:%S",
+    "%d/%m/%Y %H:%M:%S",
+    "%d.%m.%Y %H:%M",
+    "%d/%m/%Y %H:%M",
+    "%m/%d/%Y %I:%M:%S %p",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d/%m/%Y %H:%M:%S.%f",
+)
 _ROUNDING = 1e-6
+_ONE_SIDE = 0.6  # mean of the unit vectors of phases: 0.64 for half a cone, 0 for a whole one
+_SEGMENT = re.compile(r"(?:Left|Right) LOS Speed \(m/s\) at Rotor Segment Height .*")
+_RADIAN = re.compile(r".*[(\[]\s*rad(?:ians?)?\s*[)\]]", re.IGNORECASE)
+_WORDS = {
+    "phase": re.compile(
+        r"(?:(?:(?:scan(?:ner)?|beam|prism) )?(?:phase|azimuth)(?: angle)?|scan(?:ner)? angle)"
+        r"(?:\s*[(\[]\s*(?:deg(?:rees?)?|°|rad(?:ians?)?)\s*[)\]])?",
+        re.IGNORECASE,
+    ),
+    "radial_velocity": re.compile(
+        r"(?:(?:los|line[ -]of[ -]sight|radial)(?: wind)?(?: speed| velocity)|doppler velocity|los)"
+        r"(?:\s*[(\[]\s*m(?:/s| s-1|\.s-1)\s*[)\]])?",
+        re.IGNORECASE,
+    ),
+}
+"""Headings that we take for a phase in degrees or radians, and for a line-of-sight velocity in m/s: assumed."""
 
 
 def recognises_zx(file: Path, _scan: Scan, file_format: FileFormat) -> bool:
-    """Say whether the caller mapped a column of phases, or the first line is that of ZX's own converter."""
+    """Say whether the caller mapped a column of phases, or the first line or the headings are ZX's."""
     if "phase" in file_format.columns:
         return True
-    return file.suffix.lower() in {".csv", ".txt"} and _first_line(file).startswith(_CONVERTER)
+    if file.suffix.lower() in {".csv", ".txt"} and _first_line(file).startswith(_CONVERTER):
+        return True
+    try:
+        table = open_table(file, file_format)
+    except InputError:
+        return False  # the readers of tables say what is wrong with it
+    headings = table.headings
+    if any(_SEGMENT.fullmatch(heading) for heading in headings):
+        return True
+    ours = any(heading in headings for heading in TIME_HEADINGS) and not table.has("beam")
+    return ours and all(any(words.fullmatch(heading) for heading in headings) for words in _WORDS.values())
 
 
 def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -74,19 +114,40 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     scan : Scan
         The scan, all of whose beams must lie on one cone.
     file_format : FileFormat
-        The reader's options; ``columns`` must name ``time``, ``phase`` and ``radial_velocity``.
+        The reader's options; ``columns`` says what the file calls ``time``, ``phase`` and ``radial_velocity``, and
+        ``status``. Without it they are looked for by their headings.
 
     Raises
     ------
     InputError
-        If a column is not mapped or not there, the beams are not on one cone, or an entry cannot be used.
+        If a column is not there or could be several, nothing says how the phase counts, the beams are not on one cone,
+        velocities all round an upward cone have no signs, or an entry cannot be used.
 
     Notes
     -----
-    The manufacturer does not publish the headings of the 50 Hz data, so that there is no preset for them: the column
-    map says them. A phase counts in degrees from ``phase_zero_deg``, an angle θ of the scan (0 is sideways, y; 90 is
-    up), and turns from y to z (``phase_turns="up"``) or the other way. A homodyne lidar measures the magnitude of the
-    velocity: ``positive="towards"``, the default, takes the air to come towards the lidar.
+    ZX writes line-of-sight velocities at 50 Hz ("QCed line-of-sight data", or Mini Raw; seconds that fail its quality
+    control are left out as a whole), and converts them to CSV [1]_. The headings are not published. Taken from what is:
+    ``Timestamp (ISO 8601)`` or ``Time and Date``, the times of ZX's other files [2]_; and 9987 to 9999, which mark bad
+    values [3]_, so that they count as missing whatever else the option ``invalid`` names. **Assumed** is that a heading
+    such as ``Phase``, ``Azimuth (deg)`` or ``Scan angle (rad)`` is the phase and one such as ``LOS Velocity (m/s)`` or
+    ``Line of sight speed`` the velocity. Where none or several fit, the file is refused, and ``columns`` says which it
+    is; the report of the reading names the columns that were read.
+
+    A phase counts in degrees (radians if its heading says so) from ``phase_zero_deg``, an angle θ of the scan: 0 is
+    sideways (y), 90 is up; on an upward cone 0 is x, against the view, and 90 is y. It turns as θ does
+    (``phase_turns="up"``) or the other way. Of a column that the caller did not name, both must be given, by option or
+    by the scan's file: nothing published says them, and a wrong one turns R. Each phase goes to the beam within
+    ``angle_tolerance_deg``; between the 50 points of a cone of 15° are 1.86°.
+
+    A homodyne lidar measures the magnitude of the velocity: ``positive="towards"``, the default, takes the air to come
+    towards the lidar, as for a ZX TM that looks into the wind. Round an upward cone (ZX 300) the sign changes twice, so
+    that magnitudes alone are refused.
+
+    References
+    ----------
+    .. [1] ZX Lidars, "Using QCed Line-of-Sight data", knowledge base, 25 July 2025.
+    .. [2] Lidaco, samples of unit 317; github.com/resgroup/hill-of-towie-open-source-analysis, ``lidar_helpers.py``.
+    .. [3] Hill of Towie open dataset v2, README.md, doi:10.5281/zenodo.20204946.
     """
     skip = 0
     if file.suffix.lower() in {".csv", ".txt"} and _first_line(file).startswith(_CONVERTER):
@@ -97,6 +158,13 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             f"File {str(file)!r} holds ZX's statistics of averaging periods, not line-of-sight velocities: read it "
             "with read_statistics; variances of beams need the 50 Hz data."
         )
+    if any(_SEGMENT.fullmatch(heading) for heading in table.headings):
+        raise InputError(
+            f"File {str(file)!r} holds ZX TM's wind: line-of-sight speeds left and right at heights of the rotor, not "
+            "the points of a scan; variances of beams need the 50 Hz data."
+        )
+    table = _by_headings(table)
+    file_format = table.file_format
     for name in ("time", "phase", "radial_velocity", "cnr", "status"):
         needed = name in ("time", "phase", "radial_velocity") or name in file_format.required
         if needed and not table.has(name):
@@ -105,6 +173,8 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     heading = {name: file_format.column(name) for name in samples}
     (frame, _), *_rest = table.pieces(list(dict.fromkeys(heading.values())), text=[heading["time"]])
     column = {name: table.column(frame, name, heading[name]) for name in samples}
+    if file_format.time_format is None and heading["time"] == TIME_HEADINGS[1]:
+        file_format = replace(file_format, time_format=_time_format(column["time"].values[:1000]))
     time, invalid = times(column["time"], file_format)
     value = {}
     for name in samples:
@@ -112,7 +182,9 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             value[name], is_invalid = numbers(column[name], file_format)
             invalid = invalid | is_invalid
     turn = 1.0 if file_format.phase_turns == "up" else -1.0
-    phase = np.deg2rad(file_format.phase_zero_deg + turn * value["phase"])
+    measured = np.rad2deg(value["phase"]) if _RADIAN.fullmatch(heading["phase"]) else value["phase"]
+    phase = np.deg2rad(file_format.phase_zero_deg + turn * measured)
+    _check_signs(value["radial_velocity"], phase, scan, file)
     rays = Rays(
         file=file,
         kind="zx",
@@ -313,6 +385,51 @@ def _line(file: Path, before: int) -> str:
             return opened.readline(65536).decode("utf-8", errors="replace").strip("\ufeff \r\n")
     except UNREADABLE as error:
         raise unreadable(file, error) from error
+
+
+def _by_headings(table: Table) -> Table:
+    """Return the table with the columns found by their headings, and ZX's marks of bad values among the invalid."""
+    options = table.file_format
+    found = {}
+    for name in ("time", "phase", "radial_velocity"):
+        if table.has(name):
+            continue
+        if name in options.required:
+            raise table.missing(name)
+        if name == "time":
+            fits = [heading for heading in TIME_HEADINGS if heading in table.headings][:1]
+        else:
+            fits = [heading for heading in table.headings if _WORDS[name].fullmatch(heading)]
+        if len(fits) > 1:
+            raise InputError(
+                f"File {str(table.file)!r} has several columns that could be {name}, {', '.join(map(repr, fits))}: "
+                f"say which with columns={{{name!r}: 'its heading'}} (--column {name}=HEADING)."
+            )
+        if not fits:
+            raise table.missing(name)
+        found[name] = fits[0]
+    if "phase" in found and options.from_format & {"phase_zero_deg", "phase_turns"}:
+        raise InputError(
+            f"File {str(table.file)!r} does not say where its {found['phase']!r} is zero and which way it turns: give "
+            "phase_zero_deg (--phase-zero) and phase_turns (--phase-turns), or name the column with columns if it is "
+            "the angle from y upwards."
+        )
+    invalid = tuple(sorted({*options.invalid, *INVALID}))
+    return replace(table, file_format=replace(options, columns={**options.columns, **found}, invalid=invalid))
+
+
+def _check_signs(velocity: FloatArray, phase: FloatArray, scan: Scan, file: Path) -> None:
+    """Refuse magnitudes from all round an upward cone, where the air comes on one side and goes on the other."""
+    known = np.isfinite(velocity) & np.isfinite(phase)
+    upward = np.ptp(scan.beam_direction[:, 2]) <= _ROUNDING
+    if not (upward and known.any()) or velocity[known].min() < 0.0:
+        return
+    all_round = np.abs(np.exp(1j * phase[known]).mean()) < _ONE_SIDE
+    if all_round and velocity[known].max() > 0.0:
+        raise InputError(
+            f"File {str(file)!r} holds magnitudes (no velocity is below zero) from all round the upward cone of scan "
+            f"{scan.name!r}, where the air comes on one side and goes on the other: give a file with signs."
+        )
 
 
 def _on_the_cone(phase: FloatArray, scan: Scan) -> FloatArray:

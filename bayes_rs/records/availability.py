@@ -54,7 +54,6 @@ def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFram
         raise InputError("The records have no time: make them with make_records.")
     if "records_report" not in records.attrs:
         raise InputError("The records have no records_report, which says how many samples to expect: make them again.")
-    expected = float(json.loads(records.attrs["records_report"])["samples_expected"])
     try:
         step = pd.Timedelta(every)
     except ValueError as error:
@@ -72,5 +71,25 @@ def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFram
     )
     found = rows.groupby(["time", "beam"], sort=True)
     table = found.agg(records=("usable", "size"), usable=("usable", "mean"), samples=("samples", "sum")).reset_index()
-    table["availability"] = table["samples"] / (table["records"] * expected)
+    table["availability"] = table["samples"] / (table["records"] * expected_samples(records))
     return table
+
+
+def expected_samples(records: xr.Dataset) -> float:
+    """Return how many samples a full record of a beam holds: what `make_records` expected, or the most there are.
+
+    Parameters
+    ----------
+    records : xarray.Dataset
+        Records, with or without a report and counts.
+
+    Returns
+    -------
+    number : float
+        NaN if it is not known.
+    """
+    if "records_report" in records.attrs:
+        return float(json.loads(records.attrs["records_report"])["samples_expected"])
+    if "count" in records and records["count"].size and records["count"].values.max() > 0:
+        return float(records["count"].values.max())
+    return float("nan")

@@ -122,10 +122,11 @@ def make_records(
     ψ to the scan's own yaw, turned by 180° if the projected wind comes from behind, and set ``yaw_not_seen``. Nothing
     is filled or interpolated, no trend is removed.
 
-    Flags of a beam (bits): 1 ``too_few_samples``; 2 ``constant``, all samples equal; 4 ``all_missing``, samples but
-    none usable; 8 ``no_samples``, a gap; 16 ``wind_sector``, blocked in wind from there; 32 ``record_excluded``, by
-    its remarks. Flags of a record: 1 ``yaw_not_seen``; 2 ``wind_not_seen``, wind speed and yaw are NaN; 4
-    ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as remarks 16 ``not_stationary``; 32 ``low_wind``.
+    Flags of a beam (bits): 1 ``too_few_samples``, some usable, but not enough; 2 ``constant``, all samples equal; 4
+    ``all_missing``, samples but none usable; 8 ``no_samples``, a gap; 16 ``wind_sector``, blocked in wind from there;
+    32 ``record_excluded``, by its remarks. Flags of a record: 1 ``yaw_not_seen``; 2 ``wind_not_seen``, wind speed and
+    yaw are NaN; 4 ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as remarks 16 ``not_stationary``; 32
+    ``low_wind``.
     Whether a beam stands in a blocked wind sector is decided by the wind of all unflagged beams; the wind is then
     found again without it.
 
@@ -166,7 +167,7 @@ def make_records(
     given = np.bincount(samples.group, minlength=samples.n_group)
     count, mean, variance, constant = group_moments(samples.velocity[keep], samples.group[keep], samples.n_group)
     flag = (
-        BEAM_FLAGS["too_few_samples"] * (count < needed - 1e-9)
+        BEAM_FLAGS["too_few_samples"] * ((count > 0) & (count < needed - 1e-9))
         + BEAM_FLAGS["constant"] * constant
         + BEAM_FLAGS["all_missing"] * ((given > 0) & (count == 0))
         + BEAM_FLAGS["no_samples"] * (given == 0)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import xarray as xr
 
+_MOST_FILES = 20
+"""Files up to which each has a line of its own; beyond, those that were read alike share one."""
+_OPTIONS_TOLD = ("format", "positive", "velocity_unit", "time_zone", "time_stamp", "options_of_format")
+_ROWS_TOLD = ("rows", "rows_invalid_value", "rows_dropped", "samples_out_of_order")
 _SURE = 1e-3
 """p-value below which dropped samples are reported as periodic."""
 
@@ -40,7 +44,7 @@ def describe_report(dataset: xr.Dataset) -> list[str]:
 
 def _describe_reading(report: Mapping[str, Any]) -> list[str]:
     lines = []
-    for file in report["files"]:
+    for file in report["files"] if len(report["files"]) <= _MOST_FILES else _alike(report["files"]):
         line = f"{file['name']}: {file['rows']} rows ({file['format']})"
         line += f", positive {file['positive']}, {file['velocity_unit']}, {file['time_zone']}"
         if file.get("time_stamp"):
@@ -54,7 +58,9 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         ):
             line += f"; {file[key]} {words}" if file[key] else ""
         lines.append(line)
-    lines += [f"skipped {file['name']}: {file['reason']}" for file in report.get("files_skipped", [])]
+    skipped = report.get("files_skipped", [])
+    lines += [f"skipped {file['name']}: {file['reason']}" for file in skipped[:_MOST_FILES]]
+    lines += [f"skipped {len(skipped) - _MOST_FILES} more files"] if len(skipped) > _MOST_FILES else []
     passed = [
         f"{number} {kind.replace('_', ' ')}" for kind, number in report.get("files_passed_over", {}).items() if number
     ]
@@ -66,6 +72,22 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         line += f"; {report['duplicates_dropped']} repeated ones dropped"
         line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
     return [*lines, line]
+
+
+def _alike(files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Put files that were read with the same options together as one, in the order of the first of each."""
+    together: dict[str, list[Mapping[str, Any]]] = {}
+    for file in files:
+        options = {name: file.get(name) for name in _OPTIONS_TOLD}
+        together.setdefault(json.dumps(options, sort_keys=True), []).append(file)
+    return [
+        {
+            **some[0],
+            "name": f"{len(some)} files, {some[0]['name']} to {some[-1]['name']}" if some[1:] else some[0]["name"],
+            **{name: sum(file.get(name, 0) for file in some) for name in _ROWS_TOLD},
+        }
+        for some in together.values()
+    ]
 
 
 def _describe_records(report: Mapping[str, Any]) -> list[str]:
@@ -87,6 +109,11 @@ def _describe_records(report: Mapping[str, Any]) -> list[str]:
         lines.append(f"beams without a usable sample in any record: {_listed(report['beams_never_usable'])}")
     if report.get("beams_rarely_usable"):
         lines.append(f"beams flagged in more than half of the records: {_listed(report['beams_rarely_usable'])}")
+    if report.get("records_with_wind_from_behind"):
+        lines.append(
+            f"wind from behind the lidar (more than 90° from its axis): {report['records_with_wind_from_behind']} of "
+            f"{report['records']} records"
+        )
     meaning = {"too_few_samples": f" (fewer than {report['samples_needed']:g})"}
     for kind, what in (("beam_flags", "beams of records"), ("record_flags", "records")):
         for name, counted in report[kind].items():

@@ -151,8 +151,7 @@ def _with_errors(
     wind_seen: NDArray[np.bool_],
     vertical: bool,
 ) -> xr.Dataset:
-    covariance = estimator @ record_mean_covariance(records, scan, turbulence, scale=scale)
-    covariance = covariance @ estimator.swapaxes(-1, -2)
+    covariance = record_mean_covariance(records, scan, turbulence, scale=scale, estimator=estimator)
     yaw, speed = np.deg2rad(records["yaw"].values), records["wind_speed"].values
     along = np.stack([np.cos(yaw), -np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     across = np.stack([np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)], axis=-1)
