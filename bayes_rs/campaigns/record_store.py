@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 import xarray as xr
 
+from bayes_rs.campaigns.read_counts import add_report, whole_report
 from bayes_rs.campaigns.stream import StreamState, add_chunk, join_blocks
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
@@ -57,7 +58,7 @@ class StoredRecords:
     Parameters
     ----------
     records : Dataset
-        As `make_records` makes them of all files together.
+        As `make_records` makes them of all files together, with the report of reading these.
     bad_files : dict of str to str
         Files that could not be used, with the reasons; nothing of them is in the records.
     n_file, n_resumed : int
@@ -75,13 +76,13 @@ class StoredRecords:
 
 @dataclass(frozen=True)
 class _Progress:
-    """What is done: the state of the stream, and which files and parts it comes from."""
+    """What is done: the state of the stream, which files and parts it comes from, and what was read of them."""
 
     state: StreamState = field(default_factory=StreamState)
     n_part: int = 0
     files: Mapping[str, list[Any]] = field(default_factory=dict)
     bad: Mapping[str, str] = field(default_factory=dict)
-    counts: Mapping[str, int] = field(default_factory=dict)
+    read: Mapping[str, Any] = field(default_factory=dict)
 
 
 def store_records(
@@ -131,7 +132,8 @@ def store_records(
     Files are taken in the order of their first samples; those that overlap by more than `lateness` are read side by
     side. A file with an error anywhere counts for nothing, so that no number depends on how it is cut into chunks.
     """
-    paths = find_files(files, SUFFIXES).paths
+    found = find_files(files, SUFFIXES)
+    paths = found.paths
     given = dict(reading or {})
     given.pop("on_bad_file", None)
     folder.mkdir(parents=True, exist_ok=True)
@@ -153,7 +155,17 @@ def store_records(
         raise InputError(f"None of the {len(paths)} files can be used; the first: {first}")
     parts = [_open(_part(folder, index)) for index in range(done.n_part)]
     records = join_blocks(parts, done.state, scan, **options)
-    return StoredRecords(records, dict(done.bad), len(paths), n_resumed, dict(done.counts))
+    if done.read:
+        bad = [path for path in paths if _name(path) in done.bad]
+        report = whole_report(
+            done.read,
+            scan,
+            order=[_name(path) for path in paths],
+            skipped=[{"name": path.name, "reason": done.bad[_name(path)]} for path in bad],
+            passed_over=found.passed_over,
+        )
+        records = records.assign_attrs(read_report=json.dumps(report))
+    return StoredRecords(records, dict(done.bad), len(paths), n_resumed, dict(done.read.get("counts", {})))
 
 
 def _read_all(
@@ -214,17 +226,17 @@ def _read(
     options: Mapping[str, Any],
 ) -> tuple[_Progress, list[xr.Dataset]] | np.datetime64:
     """Add files to the stream; or, if they reach beyond `after`, return how far, and nothing is added."""
-    state, counts, blocks = done.state, dict(done.counts), []
+    state, read, blocks = done.state, done.read, []
+    names = {path.name: _name(path) for path in reversed(group)}
     for chunk in stream_radial_velocity(group, scan, chunk_rows=chunk_rows, **reading):
         latest = chunk["time"].values.max()
         if after is not None and latest > after:
             return np.datetime64(latest)
-        for name, value in json.loads(chunk.attrs.get("read_report", "{}")).items():
-            if isinstance(value, int) and not isinstance(value, bool):
-                counts[name] = counts.get(name, 0) + value
+        if "read_report" in chunk.attrs:
+            read = add_report(read, json.loads(chunk.attrs["read_report"]), names)
         state, block = add_chunk(state, chunk, scan, lateness=lateness, **options)
         blocks += [] if block is None else [block]
-    return replace(done, state=state, counts=counts), blocks
+    return replace(done, state=state, read=read), blocks
 
 
 def _bad_one(group: Sequence[Path], error: BaseException, scan: Scan, reading: Mapping[str, Any]) -> Path:
@@ -324,13 +336,11 @@ def _save(folder: Path, done: _Progress, blocks: list[xr.Dataset], scan: Scan, o
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}
     meta = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
-    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "counts")})
+    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read")})
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
     text = np.array(json.dumps(meta, default=lambda value: value.tolist()))
-    _whole(
-        folder / _STATE,
-        lambda file: np.savez(file, meta=text, time=done.state.time, beam=done.state.beam, **columns),  # type: ignore[arg-type]
-    )
+    entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
+    _whole(folder / _STATE, lambda file: np.savez(file, **entries))
     return done
 
 

@@ -46,6 +46,7 @@ def scans() -> None:
         click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
     click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
     click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
+    click.echo("The scans of instruments have a probe volume; behind a name, @probe=point takes it away.")
 
 
 @click.command()
@@ -152,9 +153,8 @@ def calibrate(
 
 
 def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
-    from bayes_rs.noise.model import NoiseBank
 
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    models = noise.models
     return [
         f"wind {model.wind_speed:g} m/s: relative standard deviation of a beam variance "
         f"{model.relative_error.min():.3f} to {model.relative_error.max():.3f}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayes_rs.cli.options import (
-    NoiseVariance,
+    NumberOrRecords,
     chosen_nuisances,
     chosen_scan,
     nuisance_options,
@@ -90,7 +90,7 @@ _SENSITIVITY_OPTIONS = (
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
 @click.option(
     "--instrument-noise",
-    type=NoiseVariance(),
+    type=NumberOrRecords("m² s⁻²"),
     default=0.0,
     show_default=True,
     help="Variance that the instrument adds, m² s⁻²; or records, for what each record holds for each beam.",
@@ -132,8 +132,9 @@ def fit(
     FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote: of a year, one
     file a month, say.
     """
-    from bayes_rs.jobs.fit_job import open_record_files, run_fit
+    from bayes_rs.jobs.fit_job import run_fit
     from bayes_rs.jobs.long_job import MOST_FULL, run_folder_fit, run_long_fit
+    from bayes_rs.jobs.record_files import open_record_files
     from bayes_rs.output import check_output_folder
 
     if not resume:

@@ -28,10 +28,14 @@ def _together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
     return decorate
 
 
-class NoiseVariance(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
-    """A number, or the word records."""
+class NumberOrRecords(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
+    """A number of some unit, or the word records."""
 
     name = "number or records"
+
+    def __init__(self, unit: str) -> None:
+        """Take the unit, for the message."""
+        self.unit = unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
         """Return the number, or the word."""
@@ -40,7 +44,7 @@ class NoiseVariance(click.ParamType):  # type: ignore[type-arg] # generic in new
         try:
             return float(value)
         except ValueError:
-            self.fail(f"{value!r} must be a number, m² s⁻², or the word records.", param, ctx)
+            self.fail(f"{value!r} must be a number, {self.unit}, or the word records.", param, ctx)
 
 
 mounting_options = _together(
@@ -53,7 +57,12 @@ mounting_options = _together(
 
 
 scan_options = _together(
-    click.option("--scan", "scan_name", required=True, help="A name that `bayes-rs scans` lists, or a TOML file."),
+    click.option(
+        "--scan",
+        "scan_name",
+        required=True,
+        help="A name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.",
+    ),
     mounting_options,
 )
 """Which scan it is, and how it is mounted."""
@@ -65,7 +74,7 @@ reading_options = _together(
         "file_format",
         default="auto",
         show_default=True,
-        help="auto, long, wide, netcdf, windcube, e-windlidar, halo or spinnerlidar.",
+        help="auto, long, wide, netcdf, windcube, e-windlidar, halo, spinnerlidar or zx.",
     ),
     click.option(
         "--column",
@@ -98,6 +107,13 @@ reading_options = _together(
     click.option("--time-format", help="Format of times in the files that are not ISO 8601, as %d.%m.%Y %H:%M:%S."),
     click.option("--sample-duration", type=float, help="Length of a sample, s, for --time-stamp."),
     click.option("--angle-tolerance", "angle_tolerance_deg", type=float, help="Of a ray from its beam, degrees."),
+    click.option(
+        "--phase-zero",
+        "phase_zero_deg",
+        type=float,
+        help="Where on its cone a ZX's phase is zero, degrees: 0 sideways (y), 90 up.",
+    ),
+    click.option("--phase-turns", type=click.Choice(["up", "down"]), help="Which way it turns from there."),
     click.option("--range-tolerance", type=float, help="Of a gate from a beam's focus distance, m."),
     click.option(
         "--on-bad-file",
@@ -179,9 +195,15 @@ record_options = _together(
 nuisance_options = _together(
     click.option(
         "--yaw-sd",
-        type=float,
+        type=NumberOrRecords("degrees"),
         default=0.0,
-        help="Uncertainty of the wind direction, degrees (standard deviation).",
+        help="Uncertainty of the wind direction, degrees (standard deviation); or records, for each record's own: as "
+        "it holds it, else as its beams' means give it.",
+    ),
+    click.option(
+        "--yaw-sd-missing",
+        type=float,
+        help="With --yaw-sd records, that of records which have none, degrees; by default they are refused.",
     ),
     click.option("--tilt-sd", type=float, default=0.0, help="Uncertainty of the lidar's tilt, degrees."),
     click.option(
@@ -252,6 +274,7 @@ def chosen_nuisances(records: xr.Dataset | None, options: dict[str, Any]) -> Nui
         length_scale = load_turbulence(options["turbulence"]).length_scale
     return Nuisances(
         yaw_sd_deg=options["yaw_sd"],
+        yaw_sd_missing_deg=options["yaw_sd_missing"],
         tilt_sd_deg=options["tilt_sd"],
         instrument_noise_log_sd=options["instrument_noise_sd"],
         length_scale_log_sd=options["length_scale_sd"],
@@ -265,7 +288,7 @@ def chosen_nuisances(records: xr.Dataset | None, options: dict[str, Any]) -> Nui
 
 def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[xr.Dataset, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
-    from bayes_rs.jobs.fit_job import open_record_files
+    from bayes_rs.jobs.record_files import open_record_files
 
     scan = chosen_scan(options)
     if (made := open_record_files(files, scan)) is not None:
@@ -295,6 +318,8 @@ def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
         "status_valid",
         "angle_tolerance_deg",
         "range_tolerance",
+        "phase_zero_deg",
+        "phase_turns",
         "on_bad_file",
     )
     numbers = _pairs(options["beam_numbers"], "--beam-number")

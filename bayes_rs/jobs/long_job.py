@@ -14,29 +14,27 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
-from bayes_rs.campaigns.campaign import (
-    Campaign,
+from bayes_rs.campaigns.campaign import Campaign, begin_campaign, check_workers, run_campaign
+from bayes_rs.campaigns.campaign_parts import ALONG, ALONG_SHAPE, directions_of
+from bayes_rs.campaigns.campaign_plan import (
+    CampaignOptions,
     CampaignPlan,
-    check_job_options,
     check_versions,
-    fit_campaign,
     number_versions,
-    part_files,
     plan_campaign,
-    run_campaign,
 )
 from bayes_rs.campaigns.digest import digest
 from bayes_rs.campaigns.record_store import store_records
+from bayes_rs.campaigns.tables import read_tables
 from bayes_rs.campaigns.workers import connect
-from bayes_rs.geometry.forward import sight
+from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.fit_job import FAILURES, describe, noise_of_job, versions
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.jobs.fit_job import versions
+from bayes_rs.jobs.job_options import JobOptions
+from bayes_rs.jobs.job_words import FAILURES, describe, least_seen
 from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
-from bayes_rs.priors.registry import make_prior
 from bayes_rs.records.report import describe_report
-from bayes_rs.results.fitting import fit_options
 from bayes_rs.results.result import flag_words
 
 MOST_FULL = 2000
@@ -129,24 +127,11 @@ def run_long_fit(
     WorkerError
         If worker processes die again and again.
     """
-    clock = [time.perf_counter()]
-    noise = noise_of_job(
-        records,
-        scan,
+    asked = JobOptions(
         noise_file=noise_file,
         turbulence=turbulence,
-        method=noise_method,
-        sonic=target == "sonic",
-        nuisances=nuisances,
-        say=say,
-    )
-    clock.append(time.perf_counter())
-    with connect(scheduler) as client:
-        campaign = fit_campaign(
-            records,
-            scan,
-            output,
-            noise=noise,
+        noise_method=noise_method,
+        of_fit=CampaignOptions(
             seed=seed,
             prior=prior,
             target=target,
@@ -158,16 +143,26 @@ def run_long_fit(
             prob=prob,
             derived=derived,
             draws=draws,
-            workers=workers,
-            client=client,
-            resume=resume,
-            overwrite=overwrite,
-        )
-    clock.append(time.perf_counter())
-    seconds = _seconds(("noise", "sampling"), clock)
-    return _finish(
-        campaign, records, scan, prior, say, source_files=list(source_files), workers=workers, seconds=seconds
+        ),
     )
+    check_workers(workers)
+    clock = [time.perf_counter()]
+    noise, records = asked.noise_and_records(records, scan, asked.given_noise(), say)
+    clock.append(time.perf_counter())
+    with connect(scheduler) as client, locked(output):
+        plan = plan_campaign(records, scan, noise, asked.of_fit)
+        campaign = begin_campaign(plan, output, workers=workers, client=client, resume=resume, overwrite=overwrite)
+        clock.append(time.perf_counter())
+        return _finish(
+            campaign,
+            plan,
+            records,
+            say,
+            **asked.for_run(noise, records),
+            source_files=list(source_files),
+            workers=workers,
+            seconds=_seconds(("noise", "sampling"), clock),
+        )
 
 
 def run_folder_fit(
@@ -242,8 +237,8 @@ def run_folder_fit(
     Raises
     ------
     InputError
-        If the folder may not be written, input does not belong together, no file can be used, or one that was read
-        before was changed.
+        If the folder may not be written, another process writes it, input does not belong together, no file can be
+        used, or one that was read before was changed.
     WorkerError
         If worker processes die again and again.
 
@@ -267,80 +262,71 @@ def run_folder_fit(
     ...     outcome.n_fitted, len(outcome.campaign.summary())
     (2, 12)
     """
-    clock = [time.perf_counter()]
-    fitting: dict[str, Any] = {
-        "prior": prior,
-        "target": target,
-        "sampler": sampler,
-        "likelihood": likelihood,
-        "nuisances": nuisances,
-        "target_ess": target_ess,
-        "instrument_noise": instrument_noise,
-        "seed": seed,
-    }
-    check_job_options(prob=prob, derived=derived, draws=draws, workers=workers)
-    options = fit_options(**fitting, max_extension=5)
-    known = load_noise(noise_file) if noise_file is not None else None
-    read, made = dict(reading or {}), dict(recording or {})
-    of_noise = [turbulence, noise_method, known]
-    key = digest(
-        __version__, number_versions(), scan.key, read, made, lateness, options, of_noise, prob, derived, draws
-    )
-    if resume and not overwrite:
-        check_versions(output)
-    folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
-    write_run(folder, {"key": key, "finished": False, "packages": number_versions()})
-    stored = store_records(
-        files,
-        scan,
-        folder / "records",
-        reading=read,
-        chunk_rows=chunk_rows,
-        lateness=lateness,
-        show_progress=show_progress,
-        **made,
-    )
-    records = stored.records
-    if stored.n_resumed:
-        say(f"{stored.n_resumed} of {stored.n_file} files were read by an earlier run")
-    for line in describe_report(records):
-        say(line)
-    clock.append(time.perf_counter())
-    noise = (
-        noise_of_job(
-            records,
-            scan,
-            noise_file=None,
-            turbulence=turbulence,
-            method=noise_method,
-            sonic=target == "sonic",
+    asked = JobOptions(
+        noise_file=noise_file,
+        turbulence=turbulence,
+        noise_method=noise_method,
+        of_fit=CampaignOptions(
+            seed=seed,
+            prior=prior,
+            target=target,
+            sampler=sampler,
+            likelihood=likelihood,
             nuisances=nuisances,
-            say=say,
+            target_ess=target_ess,
+            instrument_noise=instrument_noise,
+            prob=prob,
+            derived=derived,
+            draws=draws,
+        ),
+    )
+    check_workers(workers)
+    clock = [time.perf_counter()]
+    given = asked.given_noise()
+    read, made = dict(reading or {}), dict(recording or {})
+    key = digest(__version__, number_versions(), scan.key, read, made, lateness, asked.for_key(given))
+    with locked(output):
+        if resume and not overwrite:
+            check_versions(output)
+        folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
+        write_run(folder, {"key": key, "finished": False, "packages": number_versions()})
+        stored = store_records(
+            files,
+            scan,
+            folder / "records",
+            reading=read,
+            chunk_rows=chunk_rows,
+            lateness=lateness,
+            show_progress=show_progress,
+            **made,
         )
-        if known is None
-        else known
-    )
-    clock.append(time.perf_counter())
-    with connect(scheduler) as client:
-        more = {"prob": prob, "derived": derived, "draws": draws, "workers": workers, "client": client}
-        plan = plan_campaign(records, scan, noise=noise, **fitting, **more)
-        _only_of(plan, folder)
-        plan = replace(plan, run={**plan.run, "key": key})
-        campaign = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
-    clock.append(time.perf_counter())
-    return _finish(
-        campaign,
-        records,
-        scan,
-        prior,
-        say,
-        workers=workers,
-        seconds=_seconds(("records", "noise", "sampling"), clock),
-        n_file=stored.n_file,
-        source_files=json.loads(records.attrs.get("source_files", "[]")),
-        bad_files=stored.bad_files,
-        read_counts=stored.counts,
-    )
+        if stored.n_resumed:
+            say(f"{stored.n_resumed} of {stored.n_file} files were read by an earlier run")
+        for line in describe_report(stored.records):
+            say(line)
+        clock.append(time.perf_counter())
+        noise, records = asked.noise_and_records(stored.records, scan, given, say)
+        clock.append(time.perf_counter())
+        with connect(scheduler) as client:
+            check_workers(workers, client)
+            plan = plan_campaign(records, scan, noise, asked.of_fit)
+            _only_of(plan, folder)
+            plan = replace(plan, run={**plan.run, "key": key})
+            campaign = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+        clock.append(time.perf_counter())
+        return _finish(
+            campaign,
+            plan,
+            records,
+            say,
+            **asked.for_run(noise, records),
+            workers=workers,
+            seconds=_seconds(("records", "noise", "sampling"), clock),
+            n_file=stored.n_file,
+            source_files=json.loads(records.attrs.get("source_files", "[]")),
+            bad_files=stored.bad_files,
+            read_counts=stored.counts,
+        )
 
 
 def _only_of(plan: CampaignPlan, folder: Path) -> None:
@@ -356,9 +342,8 @@ def _only_of(plan: CampaignPlan, folder: Path) -> None:
 
 def _finish(
     campaign: Campaign,
+    plan: CampaignPlan,
     records: xr.Dataset,
-    scan: Scan,
-    prior: str,
     say: Callable[[str], None],
     *,
     bad_files: Mapping[str, str] | None = None,
@@ -377,9 +362,14 @@ def _finish(
     report = json.loads(records.attrs.get("records_report", "{}"))
     late = {name: report[name] for name in ("samples_late", "first_late") if name in report}
     run = json.loads((campaign.folder / RUN_FILE).read_text(encoding="utf-8"))
+    posterior = read_tables(campaign.folder, "posterior", ["record", "time", "flag_bits", *ALONG, *ALONG_SHAPE])
+    along = directions_of(posterior, run)
+    words = [
+        *describe(run["scan"], run["sight"], plan.shared.options.prior, table),
+        *([] if along is None else least_seen(along)),
+    ]
     counts = {"n_resumed": campaign.n_resumed, "bad_files": bad, **late}
-    write_run(campaign.folder, {**run, **versions(), **counts, **more})
-    used = scan.select(records["beam"].values)
+    write_run(campaign.folder, {**run, **versions(), **counts, **more, "words": words})
     lines = [f"file {name}: {reason}" for name, reason in bad.items()]
     if late:
         lines.append(
@@ -390,8 +380,8 @@ def _finish(
         campaign,
         campaign.n_record,
         campaign.n_fitted,
-        lines + _failures(campaign.folder),
-        describe(scan.name, sight(used).in_words(), make_prior(prior), table),
+        lines + _failures(posterior),
+        words,
         bad,
     )
 
@@ -400,9 +390,7 @@ def _seconds(names: Sequence[str], clock: Sequence[float]) -> dict[str, float]:
     return {name: round(end - start, 3) for name, start, end in zip(names, clock, clock[1:], strict=False)}
 
 
-def _failures(folder: Path) -> list[str]:
-    columns = ["record", "time", "flag_bits"]
-    rows = pd.concat([pd.read_parquet(file, columns=columns) for file in part_files(folder, "posterior")])
+def _failures(rows: pd.DataFrame) -> list[str]:
     failed = rows[(rows["flag_bits"].to_numpy() & FAILURES) != 0]
     lines = []
     for row in failed[:_LISTED].itertuples():

@@ -9,7 +9,9 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.fit_job import noise_of_job
+from bayes_rs.jobs.job_noise import noise_of_job
+from bayes_rs.jobs.record_yaw import with_yaw_sd
+from bayes_rs.noise.reading import load_noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.results.prior_check import prior_sensitivity
 
@@ -59,7 +61,7 @@ def run_sensitivity(
     noise = noise_of_job(
         records,
         scan,
-        noise_file=noise_file,
+        given=None if noise_file is None else load_noise(noise_file),
         turbulence=turbulence,
         method=noise_method,
         sonic=target == "sonic",
@@ -67,7 +69,7 @@ def run_sensitivity(
         say=say,
     )
     return prior_sensitivity(
-        records,
+        with_yaw_sd(records, scan, noise, nuisances, say),
         scan,
         noise=noise,
         seed=seed,

@@ -1,8 +1,7 @@
-"""Which beams were there when: shares of the expected samples, beam after beam, along time."""
+"""Which beams were there when, as a picture: at most so many rows and columns, with or without times and counts."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.records.availability import expected_samples
 
 MOST_COLUMNS = 168
 MOST_ROWS = 50
@@ -71,7 +71,7 @@ def make_availability(records: xr.Dataset, per_hour: float | None) -> Availabili
     usable = records["flag"].transpose("record", "beam").values == 0
     n_record, n_beam = usable.shape
     count = records.get("count")
-    expected = _expected(records)
+    expected = expected_samples(records)
     of_samples = count is not None and bool(np.isfinite(expected))
     samples = np.full(usable.shape, np.nan) if count is None else count.transpose("record", "beam").values.astype(float)
     share = np.minimum(samples / expected, 1.0) if of_samples else usable.astype(np.float64)
@@ -93,15 +93,6 @@ def make_availability(records: xr.Dataset, per_hour: float | None) -> Availabili
         beam_samples=samples.sum(axis=0),
         expected=expected,
     )
-
-
-def _expected(records: xr.Dataset) -> float:
-    """Return how many samples a full record of a beam holds: what `make_records` expected, or the most there are."""
-    if "records_report" in records.attrs:
-        return float(json.loads(records.attrs["records_report"])["samples_expected"])
-    if "count" in records and records["count"].size and records["count"].values.max() > 0:
-        return float(records["count"].values.max())
-    return float("nan")
 
 
 def _edges(n: int, most: int, per_hour: float | None) -> NDArray[np.int64]:

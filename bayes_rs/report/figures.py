@@ -84,8 +84,8 @@ def records_data(found: FitFolder) -> dict[str, Any]:
     if found.draws is not None and n_draw >= LEAST_DRAWS and found.fitted.any():
         draws = found.draws(n_draw)
         data["draws"] = {"n": draws.shape[1], **pack_rows(draws)}
-        if found.prior_shape is not None:
-            data["prior"] = {"n": len(found.prior_shape), **pack_rows(found.prior_shape)}
+    if found.prior_shape is not None and found.fitted.any():
+        data["prior"] = {"n": len(found.prior_shape), **pack_rows(found.prior_shape)}
     return data
 
 

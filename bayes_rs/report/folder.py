@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,8 +17,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.campaigns.campaign import part_files, read_summary
+from bayes_rs.campaigns.campaign import PRIOR_FILE
+from bayes_rs.campaigns.campaign_parts import directions_of
 from bayes_rs.campaigns.draw_store import check_zarr
+from bayes_rs.campaigns.tables import part_files, read_summary, read_tables
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
@@ -60,9 +63,9 @@ class FitFolder:
     draws : callable or None
         Gives so many draws of every record, shape (n_record, n, 6); None if they were not kept.
     prior_shape : ndarray of shape (n, 6), or None
-        Draws of R over its trace under the prior.
+        Draws of R over its trace under the prior; None of tables of an earlier version.
     directions : DataFrame or None
-        From `bayes_rs.directions`, if the scan is known by its name.
+        As from `bayes_rs.directions`; None of a result whose scan, or tables whose directions, were not kept.
     sight, prior, target : str
         In words.
     """
@@ -150,7 +153,7 @@ def _of_result(path: Path, run: dict[str, Any], prob: float | None) -> FitFolder
         },
         covariance=np.array([np.cov(draws, rowvar=False) for draws in flat]),
         draws=lambda n: flat[:, _evenly(flat.shape[1], n)],
-        prior_shape=prior / prior[:, :3].sum(axis=1, keepdims=True),
+        prior_shape=_shape(prior),
         directions=None if scan is None else directions(result, scan),
         sight=str(result.attrs["sight"]),
         prior=str(result.attrs["prior"]),
@@ -178,9 +181,6 @@ def _of_tables(path: Path, run: dict[str, Any], prob: float | None) -> FitFolder
             name: np.sqrt(numbers[column][:, 0]) / speed_or_none
             for name, column in (("median", "median"), ("low", "hdi_low"), ("high", "hdi_high"))
         }
-    scan = _scan_of(run)
-    if scan is not None and records is not None:
-        scan = scan.select(records["beam"].values)
     return FitFolder(
         run=run,
         records=records,
@@ -194,9 +194,9 @@ def _of_tables(path: Path, run: dict[str, Any], prob: float | None) -> FitFolder
         per_record={name: rows[name].to_numpy().astype(np.float64) for name in ("pareto_k", "misfit")},
         covariance=_covariances(rows),
         draws=_stored_draws(path, rows["record"].to_numpy()),
-        prior_shape=None,
-        directions=None,
-        sight="" if scan is None else sight(scan).in_words(),
+        prior_shape=_prior_shape(path),
+        directions=directions_of(rows, run),
+        sight=str(run["sight"]) if "sight" in run else _sight_of_preset(run, records),
         prior=str(run.get("prior", "")),
         target=str(run.get("target", "")),
     )
@@ -206,7 +206,7 @@ def _read_tables(path: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return summary and posterior of the records that are in both: an interrupted run may have more of one."""
     try:
         table = read_summary(path)
-        rows = pd.concat([pd.read_parquet(file) for file in part_files(path, "posterior")], ignore_index=True)
+        rows = read_tables(path, "posterior")
     except InputError:
         raise
     except (OSError, ValueError) as error:
@@ -285,11 +285,44 @@ def _times(observed: xr.Dataset, n_record: int) -> NDArray[np.datetime64]:
 
 
 def _scan_of(run: dict[str, Any]) -> Scan | None:
-    """Return the scan of a run if it is one that comes with the package, as it comes."""
+    """Return the scan of a run; of a version that did not keep it, only one that comes with the package."""
+    text = run.get("scan_toml")
+    if isinstance(text, str):
+        with tempfile.TemporaryDirectory() as place:
+            file = Path(place) / "scan.toml"
+            file.write_text(text, encoding="utf-8")
+            try:
+                return load_scan(file)
+            except InputError as error:
+                raise InputError(f"The scan_toml in {RUN_FILE} cannot be read: {error}") from error
     if run.get("scan") not in preset_names("scans"):
-        return None  # the user's own scan file: the folder does not keep it
+        return None
     scan = load_scan(run["scan"])
     return scan if scan.key == run.get("scan_key") else None
+
+
+def _sight_of_preset(run: dict[str, Any], records: xr.Dataset | None) -> str:
+    """Say what the scan sees where an earlier version did not; empty if the scan is not known."""
+    scan = _scan_of(run)
+    if scan is not None and records is not None:
+        scan = scan.select(records["beam"].values)
+    return "" if scan is None else sight(scan).in_words()
+
+
+def _prior_shape(path: Path) -> FloatArray | None:
+    """Return draws of the prior's shape that a long fit kept; None if it is of a version that did not."""
+    file = path / PRIOR_FILE
+    if not file.is_file():
+        return None
+    try:
+        draws = pd.read_parquet(file, columns=list(STRESSES)).to_numpy(dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"File {str(file)!r} cannot be read: {error}; resume or repeat the fit.") from error
+    return _shape(draws)
+
+
+def _shape(stress: FloatArray) -> FloatArray:
+    return np.asarray(stress / stress[:, :3].sum(axis=1, keepdims=True))
 
 
 def _covariances(rows: pd.DataFrame) -> FloatArray:

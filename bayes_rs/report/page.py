@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.jobs.fit_job import FAILURES
+from bayes_rs.jobs.job_words import FAILURES
 from bayes_rs.records.making import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
@@ -24,8 +24,11 @@ from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs,
 from bayes_rs.results.derived import lumley_coordinates
 from bayes_rs.results.result import FLAGS
 
+MOST_FILES = 400
+"""Files up to which each has a row of its own."""
 MOST_OPTIONS = 1500
 """Records up to which the picker is a list; beyond, a time is typed."""
+_SCAN_BOX = '<div class="scroll" tabindex="0" role="region" aria-label="The scan file"><pre>{}</pre></div>'
 _UNIT = "m² s⁻²"
 _HOUR = 3.6e6  # ms
 NO_SAMPLES = "not counted"
@@ -159,6 +162,8 @@ def _key_numbers(found: FitFolder, scan: str) -> str:
     noise = found.run.get("noise")
     if isinstance(noise, dict) and "turbulence" in noise:
         entries.append(("Noise", f"{noise.get('method', '')}, {noise['turbulence']}"))
+    if probe := str(found.run.get("probe_volume") or ""):
+        entries.append(("Probe volume", probe.removeprefix("probe volume: ")))
     return pairs(entries, "key-numbers")
 
 
@@ -210,9 +215,13 @@ def _count_tables(attributes: dict[str, Any]) -> str:
     if "read_report" in attributes:
         report = json.loads(attributes["read_report"])
         columns = ("rows", "rows_invalid_value", "rows_dropped", "samples_out_of_order")
-        rows = [(file["name"], *(str(file.get(column, "")) for column in columns)) for file in report["files"]]
+        listed, caption = report["files"], "Rows of each file"
+        if len(listed) > MOST_FILES:
+            listed = [file for file in listed if any(file.get(column) for column in columns[1:])][:MOST_FILES]
+            caption = f"Rows of the first {len(listed)} files with any left out, of {len(report['files'])} files"
+        rows = [(file["name"], *(str(file.get(column, "")) for column in columns)) for file in listed]
         header = ("file", "rows", "with an invalid value", "dropped", "out of order")
-        parts.append(table("Rows of each file", header, rows))
+        parts.append(table(caption, header, rows))
     if "records_report" in attributes:
         report = json.loads(attributes["records_report"])
         counts = [
@@ -464,5 +473,12 @@ def _diagnostics_section(found: FitFolder) -> str:
 
 
 def _provenance_section(found: FitFolder) -> str:
-    entries: Iterable[tuple[str, str]] = flat(found.run)
-    return table("How the numbers were made: run.json", ("entry", "value"), entries, n_text=2)
+    run = dict(found.run)
+    text = run.get("scan_toml")
+    if isinstance(text, str):
+        run["scan_toml"] = "see below"
+    entries: Iterable[tuple[str, str]] = flat(run)
+    content = table("How the numbers were made: run.json", ("entry", "value"), entries, n_text=2)
+    if isinstance(text, str):
+        content += folded("The scan, as the scan file that load_scan reads", _SCAN_BOX.format(escape(text)))
+    return content

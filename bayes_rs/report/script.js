@@ -162,10 +162,10 @@
     const flat = unpacked(draws, place, 6 * draws.n).filter(Number.isFinite);
     return flat.length ? columnsOf(flat, flat.length / 6) : null;
   };
-  /** Prior shapes at the sizes of the posterior's draws. */
-  const priorOf = (columns) => {
+  /** Prior shapes at the sizes of the posterior's draws, or at that of its mean where there are no draws. */
+  const priorOf = (columns, mean) => {
     if (!prior) return null;
-    const size = columns[0].map((_, row) => columns[0][row] + columns[1][row] + columns[2][row]);
+    const size = columns ? columns[0].map((_, row) => columns[0][row] + columns[1][row] + columns[2][row]) : [mean[0] + mean[1] + mean[2]];
     return data.stresses.map((_, column) => Array.from({ length: prior.n }, (_unused, row) =>
       prior.values[6 * row + column] * prior.unit[row] * size[row % size.length]));
   };
@@ -502,15 +502,16 @@
     }
     const small = width < 520;
     const posterior = drawsOf(chosen);
-    const shapes = posterior && priorOf(posterior);
+    const shapes = priorOf(posterior, numbers.mean);
     const ranges = data.stresses.map((_, c) => {
-      let range = [numbers.mean[c] - 3.2 * numbers.sd[c], numbers.mean[c] + 3.2 * numbers.sd[c]];
-      if (posterior) {
+      const gaussian = [numbers.mean[c] - 3.2 * numbers.sd[c], numbers.mean[c] + 3.2 * numbers.sd[c]];
+      let range = gaussian;
+      if (posterior || shapes) {
         const ends = [posterior, shapes].filter(Boolean).map((columns) => {
           const sorted = columns[c].slice().sort((a, b) => a - b);
           return [quantile(sorted, 0.005), quantile(sorted, 0.995)];
         });
-        range = extent(ends.flat());
+        range = extent([...ends.flat(), ...(posterior ? [] : gaussian)]);
         const margin = 0.08 * (range[1] - range[0]);
         range = [range[0] - (c < 3 ? 0 : margin), range[1] + margin];
       }
@@ -539,16 +540,15 @@
           const bins = small ? 16 : 28;
           const [low, high] = ranges[c];
           let heights;
-          let before = null;
           if (posterior) {
             heights = histogram(posterior[c], ranges[c], bins);
-            before = shapes && histogram(shapes[c], ranges[c], bins);
           } else {
             heights = Array.from({ length: 120 }, (_, k) => {
               const at = low + (k + 0.5) / 120 * (high - low);
               return Math.exp(-0.5 * ((at - numbers.mean[c]) / numbers.sd[c]) ** 2) / (numbers.sd[c] * Math.sqrt(2 * Math.PI));
             });
           }
+          const before = shapes && histogram(shapes[c], ranges[c], bins);
           const y = scale([0, 1.25 * Math.max(...heights, ...(before || [0]))], [box.bottom, box.top]);
           inside.append(path(`M${x(numbers.low[c])} ${box.top}H${x(numbers.high[c])}V${box.bottom}H${x(numbers.low[c])}Z`, "outer"));
           inside.append(path(`${outline(heights, ranges[c], x, y)}Z`, "band"));
@@ -558,22 +558,24 @@
           svg.append(text(box.left + cell / 2, box.top - 5, small ? data.stresses[c] : `${data.stresses[c]} ${written(numbers.median[c], 2)}`, { "text-anchor": "middle", class: "strong" }));
         } else {
           const y = scale(ranges[row], [box.bottom, box.top]);
+          const size = small ? 24 : 36;
+          const inCell = [scale([0, size], [box.left, box.right]), scale([0, size], [box.bottom, box.top])];
+          const contours = (columns, kind) => {
+            if (!columns) return;
+            const { grid, levels } = density(columns[column], columns[row], ranges[column], ranges[row], size);
+            const d = levels.map((height) => contour(grid, size, height, ...inCell)).join("");
+            if (d) inside.append(path(d, kind));
+          };
           if (posterior) {
-            const size = small ? 24 : 36;
-            const inCell = [scale([0, size], [box.left, box.right]), scale([0, size], [box.bottom, box.top])];
             inside.append(path(dots(posterior[column].map((value, k) => [x(value), y(posterior[row][k])])), "dot draws"));
-            [[posterior, "middle"], [shapes, "prior"]].forEach(([columns, kind]) => {
-              if (!columns) return;
-              const { grid, levels } = density(columns[column], columns[row], ranges[column], ranges[row], size);
-              const d = levels.map((height) => contour(grid, size, height, ...inCell)).join("");
-              if (d) inside.append(path(d, kind));
-            });
+            contours(posterior, "middle");
           } else {
             const [mean, sd] = [[numbers.mean[column], numbers.mean[row]], [numbers.sd[column], numbers.sd[row]]];
             inside.append(path(ellipse(mean, sd, correlationOf(column, row), 0.95, x, y), "outer"));
             inside.append(path(ellipse(mean, sd, correlationOf(column, row), 0.68, x, y), "band"));
             inside.append(path(dots([[x(mean[0]), y(mean[1])]]), "dot"));
           }
+          contours(shapes, "prior");
           if (column === 0) {
             for (const [value, words] of near(row, small ? 2 : 4)) svg.append(text(box.left - 3, y(value) + 4, words, { "text-anchor": "end" }));
           }
@@ -604,10 +606,10 @@
     holder.replaceChildren();
     if (posterior) {
       holder.append(key("dot", `${posterior[0].length} draws of the posterior, contours hold 68 and 95 %`));
-      if (prior) holder.append(key("prior", "prior at the posterior's size: where the posterior fills it, the data said nothing of the shape"));
     } else {
       holder.append(key("band", "68 %"), key("outer", "95 % of a Gaussian with the posterior's mean and covariance: the draws are not in this page, and the posterior itself is realizable and skewed"));
     }
+    if (prior) holder.append(key("prior", "prior at the posterior's size: where the posterior fills it, the data said nothing of the shape"));
     holder.append(key("outer", `in the panels on the diagonal, the ${percent} interval; dotted, the median`));
   };
   const cell = (tag, words, attributes = {}) => {

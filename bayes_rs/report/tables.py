@@ -87,5 +87,6 @@ def flat(content: Any, name: str = "") -> list[tuple[str, str]]:
     if isinstance(content, dict):
         return [pair for key, value in content.items() for pair in flat(value, f"{name}.{key}" if name else str(key))]
     if isinstance(content, list):
-        return [(name, ", ".join(str(value) for value in content) or "none")]
+        texts = [str(value) for value in content]
+        return [(name, ("; " if any(", " in text for text in texts) else ", ").join(texts) or "none")]
     return [(name, "none" if content is None else str(content))]

@@ -1,0 +1,89 @@
+"""Records that were written before, of one file or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.compressed import UNREADABLE
+from bayes_rs.readers.netcdf_check import check_netcdf
+
+
+def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
+    """Read records that were written before; None if the file is something else, such as radial velocities.
+
+    Raises
+    ------
+    InputError
+        If the records were made with another scan.
+    """
+    file = Path(path)
+    if file.suffix not in (".nc", ".nc4") or not file.is_file():
+        return None
+    try:
+        check_netcdf(file)
+        dataset = xr.load_dataset(file, engine="h5netcdf")
+    except UNREADABLE:
+        return None  # the reader of radial velocities says what is wrong with it
+    if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
+        return None
+    key = dataset.attrs.get("scan_key", scan.key)
+    if key != scan.key:
+        raise InputError(
+            f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
+            f"{scan.name!r}: name that scan, with the same options."
+        )
+    return dataset
+
+
+def open_record_files(paths: Sequence[str | Path], scan: Scan) -> xr.Dataset | None:
+    """Read records that were written before, of one file or several; None if they are something else.
+
+    Raises
+    ------
+    InputError
+        If the records were made with another scan, or those of several files do not go together.
+    """
+    found: list[xr.Dataset] = []
+    for path in paths:
+        records = open_records(path, scan)
+        if records is None:
+            return None
+        found.append(records)
+    first = found[0]
+    for path, records in zip(paths, found, strict=True):
+        for what, one, other in (
+            ("beams", first["beam"].values.tolist(), records["beam"].values.tolist()),
+            ("duration", first.attrs.get("duration"), records.attrs.get("duration")),
+        ):
+            if one != other:
+                raise InputError(
+                    f"The records in {str(path)!r} have {what} {other} and those in {str(paths[0])!r} {one}: fit them "
+                    "separately."
+                )
+    if len(found) == 1:
+        return first
+    joined = xr.concat(
+        found,
+        dim="record",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
+        combine_attrs="override",
+    )
+    joined = joined.drop_encoding()  # the first file's unit of time need not suit the others
+    joined.attrs.pop("records_report", None)  # it is that of the first file
+    if "time" in joined.coords and joined.indexes.get("time") is None:
+        again = joined["time"].to_series().duplicated().to_numpy()
+        if again.any():
+            raise InputError(
+                f"{np.count_nonzero(again)} records start at the same time as another, the first at "
+                f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap."
+            )
+    return joined

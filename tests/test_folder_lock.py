@@ -1,0 +1,173 @@
+"""One process at a time fills a folder: a second one is told so, and a dead one's place is taken over."""
+
+import errno
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import campaign_scene
+import pytest
+from campaign_scene import N_RECORD, OPTIONS, PART, SCAN, make_records
+
+from bayes_rs import InputError, fit_campaign, read_summary
+from bayes_rs.campaigns import campaign_plan
+from bayes_rs.folder_lock import locked
+
+TESTS = Path(__file__).parent
+HOLD = (
+    "import sys\n"
+    "from bayes_rs.folder_lock import locked\n"
+    "with locked(sys.argv[1]):\n"
+    "    print('held', flush=True)\n"
+    "    sys.stdin.read()\n"
+)
+WORK = (
+    "import sys, time\n"
+    f"sys.path.insert(0, {str(TESTS)!r})\n"
+    "import campaign_scene\n"
+    "from bayes_rs.campaigns import campaign, campaign_plan\n"
+    "campaign_plan.PART_RECORDS = campaign_scene.PART\n"
+    "def slowly(shared, part):\n"
+    "    if part.index == 2:\n"
+    "        print('at part two', flush=True)\n"
+    "        sys.stdin.read()\n"
+    "    return campaign_scene.FIT_PART(shared, part)\n"
+    "campaign.fit_part = slowly\n"
+    "campaign.fit_campaign(campaign_scene.make_records(), campaign_scene.SCAN, sys.argv[1], **campaign_scene.OPTIONS)\n"
+)
+
+
+def start(script, folder):
+    process = subprocess.Popen(  # noqa: S603 - our own script
+        [sys.executable, "-c", script, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline()
+    return process
+
+
+def end(process, how=None):
+    if how is None:
+        process.stdin.close()
+    else:
+        process.send_signal(how)
+    code = process.wait(timeout=60)
+    process.stdout.close()
+    if how is not None:
+        process.stdin.close()
+    return code
+
+
+@pytest.fixture
+def place(tmp_path):
+    return tmp_path / "out"
+
+
+def hidden(folder):
+    return [path.name for path in folder.iterdir() if path.name.startswith(".")]
+
+
+class TestLock:
+    def test_a_second_process_is_told_who_where_and_what_to_do(self, place):
+        other = start(HOLD, place)
+        words = (
+            rf"Output folder '{re.escape(str(place))}' is being written by another run \(process {other.pid} on .+, "
+            r"since \d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ\): wait for its end, stop it, or give another name\."
+        )
+        with pytest.raises(InputError) as caught, locked(place):
+            pass
+        assert re.fullmatch(words, str(caught.value))
+        assert end(other) == 0
+
+    @pytest.mark.parametrize("how", [None, signal.SIGKILL, signal.SIGTERM])
+    def test_it_is_free_when_the_process_is_gone_however_it_went(self, place, how):
+        assert end(start(HOLD, place), how) == (0 if how is None else -how)
+        with locked(place):
+            assert len(hidden(place.parent)) == 1
+        assert hidden(place.parent) == []
+
+    def test_an_error_frees_it(self, place):
+        for _ in range(2):
+            with pytest.raises(ZeroDivisionError), locked(place):
+                raise ZeroDivisionError
+
+    def test_other_folders_are_not_concerned(self, tmp_path):
+        long_name = "x" * 60
+        names = ("out", "out2", f"{long_name}1", f"{long_name}2")
+        with ExitStack() as stack:
+            for name in names:
+                stack.enter_context(locked(tmp_path / name))
+            assert len(hidden(tmp_path)) == 4
+
+    def test_one_folder_by_two_names_is_one(self, place, monkeypatch):
+        monkeypatch.chdir(place.parent)
+        with locked(place), pytest.raises(InputError, match="is being written by another run"), locked("out"):
+            pass
+
+    def test_one_that_was_removed_while_it_was_opened_is_made_anew(self, place, monkeypatch):
+        """Between opening the file and locking it, the run that held it may have ended and removed it."""
+        import bayes_rs.folder_lock as module  # noqa: PLC0415 - to be spoilt
+
+        lock, removed = module._lock, []
+
+        def slow(number):
+            if not removed:
+                removed.extend(place.parent.glob(".lock-*"))
+                removed[0].unlink()
+            lock(number)
+
+        monkeypatch.setattr(module, "_lock", slow)
+        with locked(place):
+            assert len(removed) == 1
+            assert len(hidden(place.parent)) == 1
+            monkeypatch.undo()
+            with pytest.raises(InputError, match="is being written"), locked(place):
+                pass
+
+    def test_a_place_without_locks_is_warned_of(self, place, monkeypatch):
+        def unknown(_number):
+            raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+        monkeypatch.setattr("bayes_rs.folder_lock._lock", unknown)
+        with (
+            pytest.warns(
+                UserWarning, match=r"knows no locks \(Function not implemented\): see to it that no other run"
+            ),
+            locked(place),
+        ):
+            pass
+
+
+@pytest.mark.slow
+class TestTwoRuns:
+    def test_the_second_stops_and_spoils_nothing_and_takes_over_when_the_first_is_dead(self, place, monkeypatch):
+        monkeypatch.setattr(campaign_plan, "PART_RECORDS", PART)
+        whole = fit_campaign(make_records(), SCAN, place.parent / "whole", **OPTIONS)
+        first = start(WORK, place)
+        half_written = place / "summary" / ".part-000002.parquet.1"  # as of the first process, in the middle of a file
+        half_written.write_bytes(b"PAR1")
+        before = {path: path.stat().st_mtime_ns for path in sorted(place.glob("**/*"))}
+        for options in ({"resume": True}, {"overwrite": True}, {}):
+            with pytest.raises(InputError, match=rf"is being written by another run \(process {first.pid} on "):
+                fit_campaign(make_records(), SCAN, place, **options, **OPTIONS)
+        assert {path: path.stat().st_mtime_ns for path in sorted(place.glob("**/*"))} == before
+        assert end(first, signal.SIGKILL) == -signal.SIGKILL
+        found = fit_campaign(make_records(), SCAN, place, resume=True, **OPTIONS)
+        assert found.n_resumed == 2 * PART
+        assert found.summary().equals(read_summary(whole.folder))
+        assert not half_written.exists()
+        assert hidden(place.parent) == []
+
+    def test_the_first_goes_on_undisturbed(self, place):
+        first = start(WORK, place)
+        began = time.monotonic()
+        with pytest.raises(InputError, match="is being written by another run"):
+            fit_campaign(make_records(), SCAN, place, resume=True, **OPTIONS)
+        assert time.monotonic() - began < 30.0
+        assert end(first) == 0
+        assert read_summary(place)["record"].nunique() == N_RECORD
+        assert campaign_scene.PART == PART
