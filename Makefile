@@ -54,7 +54,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) "pip>=25.1"
 
-$(VENV)/installed: pyproject.toml | $(VENV)/bin/python
+$(VENV)/installed: pyproject.toml bayes_rs/_version.py | $(VENV)/bin/python
 	$(PIP) --editable .
 	touch $@
 

@@ -5,8 +5,8 @@ from .calibration.choice import noise_for_records as noise_for_records
 from .calibration.store import find_shipped_noise as find_shipped_noise
 from .campaigns.campaign import Campaign as Campaign
 from .campaigns.campaign import fit_campaign as fit_campaign
-from .campaigns.campaign import read_summary as read_summary
 from .campaigns.stream import stream_records as stream_records
+from .campaigns.tables import read_summary as read_summary
 from .design.comparing import compare as compare
 from .design.comparison_plot import plot_comparison as plot_comparison
 from .design.estimators import estimate as estimate

@@ -52,7 +52,7 @@ def main() -> None:
     train = np.concatenate([tensors("weak", rng), tensors("flat", rng)])
     test = {prior: tensors(prior, rng) for prior in ("weak", "flat")}
     for name, counts in SCANS.items():
-        scan = brs.load_scan(name)
+        scan = brs.load_scan(name, probe="point")
         matrix = brs.design_matrix(scan)
         covariance = brs.calibrate(scan, turbulence, wind_speed=10.0).covariance
         every = np.ones((1, scan.n_beam))

@@ -185,7 +185,7 @@ def off_the_ideal(n_record: int) -> list[dict[str, object]]:
             data: str = "lines",
             **options: object,
         ) -> None:
-            row = measure({"case": case, **labels, "data": data}, scene.scan, noise, prior, deviation, **options)  # type: ignore[arg-type]
+            row = measure({"case": case, **labels, "data": data}, scene.scan, noise, prior, deviation, **options)  # type: ignore[arg-type]  # options of any kind
             rows.append(row)
             print(row, flush=True)
 

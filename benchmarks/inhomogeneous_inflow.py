@@ -31,7 +31,7 @@ SCANS = {
     "6-beam, 45°, 126 m": ("6-beam", {"opening_angle_deg": 45.0, "focus_distance": 126.0}),
     "50-beam, 15°, 98 m": ("50-beam", {}),
     "6-beam, 15°, five planes": ("6-beam-planes", {}),
-    "SpinnerLidar, 178 m": ("spinnerlidar", {"focus_distance": 178.0}),
+    "SpinnerLidar, 178 m": ("spinnerlidar@probe=point", {"focus_distance": 178.0}),
 }
 FLOWS = ("homogeneous", "neutral, 500 m deep", "stable, 300 m deep", "wake, twice the variance")
 NUISANCES = brs.Nuisances(vertical_gradient_sd=0.5, lateral_gradient_sd=0.5)

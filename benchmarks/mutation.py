@@ -107,7 +107,7 @@ def passes(module: str, source: str, tests: list[str]) -> bool:
         command = [sys.executable, __file__, "--as", module, *tests]
         options: Any = {"cwd": ROOT, "env": {**os.environ, **own}, "capture_output": True, "timeout": LIMIT}
         try:
-            return subprocess.run(command, input=source.encode(), check=False, **options).returncode == 0  # noqa: S603
+            return subprocess.run(command, input=source.encode(), check=False, **options).returncode == 0  # noqa: S603 - our own
         except subprocess.TimeoutExpired:
             return False
 
@@ -119,7 +119,7 @@ def run_tests(module: str, tests: list[str]) -> int:
     def get_code(loader: Any, name: str) -> Any:
         return compile(source, loader.path, "exec", dont_inherit=True) if name == module else whole(loader, name)
 
-    SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
+    SourceFileLoader.get_code = get_code  # type: ignore[method-assign]  # for this process only
     return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not long", *tests]))
 
 
@@ -138,7 +138,7 @@ def main() -> None:
     if not passes(module, source, tests):
         raise SystemExit(f"Without a fault the tests of {module} fail, or take longer than {LIMIT:g} s.")
     possible = faults(source)
-    chosen = random.Random(given.seed).sample(possible, min(given.count, len(possible)))  # noqa: S311
+    chosen = random.Random(given.seed).sample(possible, min(given.count, len(possible)))  # noqa: S311 - no secret
     both = [planted(source, *fault) for fault in chosen]
     survivors = [words for words, text in both if passes(module, text, tests)]
     print("\n".join([*survivors, f"{len(survivors)} of {len(chosen)} faults survive; {len(possible)} are possible."]))

@@ -176,7 +176,7 @@ def _dynesty(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int,
 
 
 def _nautilus(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int, float, np.ndarray]]:
-    import nautilus  # noqa: PLC0415
+    import nautilus  # noqa: PLC0415 - only if it is there
 
     began, found, size = time.perf_counter(), [], 0
     for record in keys[:N_SLOW]:
@@ -197,7 +197,7 @@ def _nautilus(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int
 
 
 def _zeus(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int, float, np.ndarray]]:
-    import zeus  # noqa: PLC0415
+    import zeus  # noqa: PLC0415 - only if it is there
 
     for n_step in (300, 1000):
         began, found = time.perf_counter(), []
@@ -213,9 +213,9 @@ def _zeus(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int, fl
 
 
 def _numpyro(posterior: Posterior, keys: np.ndarray) -> Iterator[tuple[str, int, float, np.ndarray]]:
-    import jax  # noqa: PLC0415
-    import jax.numpy as jnp  # noqa: PLC0415
-    from numpyro.infer import MCMC, NUTS  # noqa: PLC0415
+    import jax  # noqa: PLC0415 - only if it is there
+    import jax.numpy as jnp  # noqa: PLC0415 - only if it is there
+    from numpyro.infer import MCMC, NUTS  # noqa: PLC0415 - only if it is there
 
     jax.config.update("jax_enable_x64", True)
     prior: Any = posterior.prior

@@ -47,7 +47,7 @@ def false_alarms() -> pd.DataFrame:
     """Measure what each rule does to stationary Mann turbulence, which has no fault."""
     rows = []
     for scan_name, wind_speed in CASES:
-        scan = brs.load_scan(scan_name)
+        scan = brs.load_scan(scan_name, probe="point")
         for name in TURBULENCE:
             flow = brs.load_turbulence(name)
             series = brs.simulate(scan, flow, wind_speed=wind_speed, n_records=N_RECORD, seed=1)

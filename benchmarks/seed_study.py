@@ -38,8 +38,10 @@ TABLE_1 = pd.DataFrame(
 def scans() -> dict[str, tuple[brs.Scan, str]]:
     """Return the study's scans by a label, with where in the study they are."""
     names = TABLE_1.index
-    found = {name: (brs.load_scan(name), "Fig. 4") for name in names}
-    found |= {f"{name}-planes": (brs.load_scan(f"{name}-planes"), "Figs. 5, 6, 8, Table 1") for name in names}
+    found = {name: (brs.load_scan(name, probe="point"), "Fig. 4") for name in names}
+    found |= {
+        f"{name}-planes": (brs.load_scan(f"{name}-planes", probe="point"), "Figs. 5, 6, 8, Table 1") for name in names
+    }
     for angle in (15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0):
         scan = brs.load_scan("6-beam", opening_angle_deg=angle, focus_distance=52.0)
         found[f"6-beam {angle:g}° 52 m"] = scan, "Fig. 7"

@@ -53,7 +53,7 @@ def length_scales(n_records=150):
         ("6-beam", "fu-2022", 10.0, 0.0),
         ("6-beam", "unstable-offshore", 12.0, 0.0),
     ):
-        scan, flow = brs.load_scan(name), brs.load_turbulence(flow_name)
+        scan, flow = brs.load_scan(name, probe="point"), brs.load_turbulence(flow_name)
         spectra = noisy_spectra(scan, flow, speed, n_records, noise, seed=11)
         fit = brs.fit_spectra(spectra, scan, gamma=flow.gamma, show_progress=False)
         error = np.log(fit["length_scale"].values / flow.length_scale)

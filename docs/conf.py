@@ -91,7 +91,7 @@ else:
 mathjax_path = "tex-svg.js"
 mathjax3_config = {"svg": {"fontCache": "global"}, "options": {"enableMenu": False}}
 
-_MIRRORED = {"notebooks": ("*.ipynb",), "benchmarks": ("README.md", "*.csv", "*.png")}
+_MIRRORED = {"notebooks": ("*.ipynb",), "benchmarks": ("README.md", "measured.md", "*.csv", "*.png")}
 _EQUATION = re.compile(r"^ {4,}\S")
 _STUB = (ROOT / "bayes_rs/__init__.pyi").read_text(encoding="utf-8")
 _OUR_TYPE = re.compile(r"\b(" + "|".join(re.findall(r" as ([A-Z][a-z]\w+)$", _STUB, re.MULTILINE)) + r")\b")

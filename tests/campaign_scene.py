@@ -10,7 +10,7 @@ import pandas as pd
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import NotPositiveDefiniteError, WeakPrior, load_scan
-from bayes_rs.campaigns import campaign
+from bayes_rs.campaigns import campaign, campaign_parts, campaign_plan
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)
@@ -35,13 +35,13 @@ def make_records(n_record=N_RECORD):
 
 
 def die_at_write(number, *, half_written):
-    """Kill this process when it writes its file of that number, before it or in the middle of it."""
+    """Kill this process when it writes its part's file of that number, before it or in the middle of it."""
     write = pd.DataFrame.to_parquet
     count = iter(range(1_000_000))
 
     def writing(table, path, **options):
         write(table, path, **options)
-        if next(count) == number:
+        if Path(path).name.startswith(".part-") and next(count) == number:
             with Path(path).open("rb+") as file:
                 file.truncate(Path(path).stat().st_size // 2 if half_written else 0)
             os.kill(os.getpid(), signal.SIGKILL)
@@ -70,7 +70,7 @@ def fit_part_and_die_once(shared, part):
 def singular(records, numbers):
     """Return a `fit_batch` that fails for batches with one of these records."""
     keys = records["time"].values[numbers].astype(np.int64)
-    fit_batch = campaign.fit_batch
+    fit_batch = campaign_parts.fit_batch
 
     def fitting(batch, *arguments, **options):
         if np.isin(batch.key, keys).any():
@@ -85,7 +85,7 @@ def set_variable(name, value):
 
 
 if __name__ == "__main__":
-    campaign.PART_RECORDS = PART
+    campaign_plan.PART_RECORDS = PART
     folder, workers, number, draws = sys.argv[1:5]
     die_at_write(int(number), half_written=True)
     campaign.fit_campaign(make_records(), SCAN, folder, workers=int(workers), draws=draws, **OPTIONS)

@@ -28,5 +28,5 @@ def six_beam_hour() -> Path:
 def arviz():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
-        import arviz  # noqa: PLC0415
+        import arviz  # noqa: PLC0415 - slow to load
     return arviz

@@ -149,6 +149,25 @@ def write_zx(file: Path, series: xr.Dataset, scan: Scan, *, converter: bool = Tr
     return file
 
 
+def write_mini_raw(file: Path, series: xr.Dataset, scan: Scan, *, radian: bool = False, **names: str) -> Path:
+    """Write samples as ZX's converter might: its time, a phase upwards from y, magnitudes, and marks of bad values."""
+    number = np.searchsorted(scan.beam, series["beam"].values)
+    theta = np.arctan2(scan.beam_direction[number, 2], scan.beam_direction[number, 1]) % (2.0 * np.pi)
+    bad = 9987 + np.cumsum(np.isnan(series["radial_velocity"].values)) % 13
+    frame = pd.DataFrame(
+        {
+            "Timestamp (ISO 8601)": pd.to_datetime(series["time"].values).strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+            "Range (m)": scan.focus_distance[number],
+            "Phase (rad)" if radian else "Phase (deg)": np.round(theta if radian else np.degrees(theta), 6),
+            "LOS Velocity (m/s)": np.where(np.isnan(series["radial_velocity"]), bad, -series["radial_velocity"]),
+            "Backscatter": 0.5,
+            "Status Flags": 0,
+        }
+    )
+    frame.rename(columns=names).to_csv(file, index=False)
+    return file
+
+
 def compress(file: Path, suffix: str) -> Path:
     """Return a compressed copy of a file."""
     packed = file.with_name(file.name + suffix)

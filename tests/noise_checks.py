@@ -10,7 +10,7 @@ from bayes_rs.noise.reading import load_noise
 
 def check_noise(noise, scan, folder):
     """Check shapes, symmetry, positive semi-definiteness, selection, the scan it belongs to, and saving."""
-    models = noise.models if isinstance(noise, NoiseBank) else (noise,)
+    models = noise.models
     for model in models:
         n_beam = scan.n_beam
         assert model.bias.shape == (n_beam,)
@@ -29,7 +29,7 @@ def check_noise(noise, scan, folder):
     backwards = scan.beam[::-1]
     turned = noise.select(backwards)
     turned.check_scan(scan.select(backwards))
-    turned_models = turned.models if isinstance(turned, NoiseBank) else (turned,)
+    turned_models = turned.models
     for model, other in zip(models, turned_models, strict=True):
         np.testing.assert_array_equal(other.covariance, model.covariance[::-1, ::-1])
         np.testing.assert_array_equal(other.gain, model.gain[::-1])
@@ -66,4 +66,4 @@ def check_noise(noise, scan, folder):
     again = load_noise(folder / "noise.nc")
     assert type(again) is type(noise)
     assert again.to_dataset().identical(noise.to_dataset())
-    assert dict(models[0].details) == dict((again.models if isinstance(again, NoiseBank) else (again,))[0].details)
+    assert dict(models[0].details) == dict(again.models[0].details)

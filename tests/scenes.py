@@ -10,6 +10,19 @@ from bayes_rs.noise.model import NoiseModel
 TURBULENCE = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="test")
 
 
+def point_scan(directions, distance=98.0, scan_duration=1.0, times=None) -> Scan:
+    """A scan of beams in these directions, shape (n_beam, 3) and any length."""
+    n = len(directions)
+    directions = np.asarray(directions, dtype=float)
+    return Scan(
+        "points",
+        directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        focus_distance=np.broadcast_to(np.asarray(distance, dtype=float), n),
+        beam_time=np.zeros(n) if times is None else times,
+        scan_duration=scan_duration,
+    )
+
+
 def plain_noise(scan: Scan, *, relative_variance: float = 0.06, reach: float = 80.0, bias: float = -0.1) -> NoiseModel:
     """Noise whose correlation falls exponentially with the distance of the measured points from each other."""
     across = (scan.focus_distance[:, None] * scan.line_of_sight)[:, 1:]

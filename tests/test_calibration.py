@@ -362,7 +362,7 @@ class TestShipped:
         assert noise.details["n_boxes"] >= 100
 
     def test_bank_and_one_state_of_it(self):
-        scan = load_scan("pulsed-4-beam")
+        scan = load_scan("pulsed-4-beam@probe=point")
         bank = calibrate(scan, FLOW, wind_speed=[4.5, 9.5], yaw_deg=[0.0, 20.0], method="boxes")
         assert isinstance(bank, NoiseBank)
         assert len(bank.models) == 4
@@ -370,10 +370,19 @@ class TestShipped:
         np.testing.assert_array_equal(one.covariance, bank.models[3].covariance)
 
     def test_some_of_its_beams(self):
-        scan = load_scan("pulsed-4-beam").select([2, 3])
+        scan = load_scan("pulsed-4-beam@probe=point").select([2, 3])
         bank = find_shipped_noise(scan, FLOW, method="boxes")
         assert isinstance(bank, NoiseBank)
         bank.check_scan(scan)
+
+    @pytest.mark.parametrize("name", ["zx-tm", "pulsed-4-beam"])
+    def test_with_the_instruments_probe_by_theory_and_without_by_both(self, name):
+        for scan, methods in ((load_scan(name), ("theory",)), (load_scan(f"{name}@probe=point"), ("theory", "boxes"))):
+            found = {method: find_shipped_noise(scan, FLOW, method=method) for method in ("theory", "boxes")}
+            assert tuple(method for method in found if found[method] is not None) == methods
+            for method in methods:
+                found[method].check_scan(scan)
+                assert found[method].scan_name == scan.name
 
     @pytest.mark.parametrize(
         ("scan", "turbulence", "changes"),
@@ -414,7 +423,7 @@ class TestForRecords:
 
     @pytest.mark.usefixtures("no_boxes")
     def test_shipped_bank_for_some_of_the_beams(self):
-        scan = load_scan("pulsed-4-beam").select([2, 3])
+        scan = load_scan("pulsed-4-beam@probe=point").select([2, 3])
         speeds = np.append(np.linspace(3.0, 14.0, 19), 30.0)
         noise, words = noise_for_records(self.records(speeds, np.linspace(-50.0, 50.0, 20)), scan, FLOW, method="boxes")
         assert isinstance(noise, NoiseBank)

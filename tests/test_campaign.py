@@ -33,7 +33,7 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
-from bayes_rs.campaigns import campaign
+from bayes_rs.campaigns import campaign, campaign_parts, campaign_plan, tables
 from bayes_rs.results.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
@@ -44,7 +44,7 @@ UNFITTED = [2, 8, *range(10, 15)]
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(campaign, "PART_RECORDS", PART)
+    monkeypatch.setattr(campaign_plan, "PART_RECORDS", PART)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def whole(records, tmp_path_factory):
     """The folder of an uninterrupted run, with draws and derived quantities."""
     folder = tmp_path_factory.mktemp("whole") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "PART_RECORDS", PART)
+        patch.setattr(campaign_plan, "PART_RECORDS", PART)
         fit_campaign(records, SCAN, folder, derived=("ti", "tke"), draws="float64", **OPTIONS)
     return folder
 
@@ -77,7 +77,7 @@ def plain(records, tmp_path_factory):
     """The folder of an uninterrupted run with nothing but the defaults."""
     folder = tmp_path_factory.mktemp("plain") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "PART_RECORDS", PART)
+        patch.setattr(campaign_plan, "PART_RECORDS", PART)
         fit_campaign(records, SCAN, folder, **OPTIONS)
     return folder
 
@@ -169,7 +169,7 @@ class TestNumbers:
 
     @pytest.mark.parametrize("size", [1, 7, 512])
     def test_the_size_of_a_part_changes_no_number(self, records, plain, monkeypatch, tmp_path, size):
-        monkeypatch.setattr(campaign, "PART_RECORDS", size)
+        monkeypatch.setattr(campaign_plan, "PART_RECORDS", size)
         found = fit_campaign(records, SCAN, tmp_path / "out", **OPTIONS)
         same(found.summary(), read_summary(plain))
         assert len(parts(found.folder)) == -(-N_RECORD // size)
@@ -231,7 +231,7 @@ class TestRecordsThatCannotBeFitted:
 
     def test_every_part_has_the_same_types(self, whole):
         for name in ("summary", "posterior", "draws"):
-            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in campaign.part_files(whole, name)}
+            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in tables.part_files(whole, name)}
             assert len(types) == 1, name
 
 
@@ -263,8 +263,8 @@ class TestFolder:
             "import resource, sys\n"
             f"sys.path.insert(0, {str(TESTS)!r})\n"
             "from campaign_scene import OPTIONS, SCAN, make_records\n"
-            "from bayes_rs.campaigns import campaign\n"
-            "campaign.PART_RECORDS = 64\n"
+            "from bayes_rs.campaigns import campaign, campaign_plan\n"
+            "campaign_plan.PART_RECORDS = 64\n"
             "campaign.fit_campaign(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', **OPTIONS)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
         )
@@ -373,7 +373,7 @@ class TestVersions:
         assert packages == {name: version(name) for name in ("numpy", "scipy", "emcee")}
 
     def test_a_run_is_not_resumed_under_others(self, records, tmp_path, monkeypatch):
-        monkeypatch.setattr(campaign, "version", lambda name: "1.0" if name == "scipy" else version(name))
+        monkeypatch.setattr(campaign_plan, "version", lambda name: "1.0" if name == "scipy" else version(name))
         fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", **OPTIONS)
         monkeypatch.undo()
         words = (
@@ -393,7 +393,7 @@ class TestRecordsWhoseLikelihoodFails:
 
     @pytest.mark.parametrize("bad", [[3], [3, 9, 16], list(range(N_RECORD))])
     def test_they_stop_nothing(self, records, plain, monkeypatch, tmp_path, bad):
-        monkeypatch.setattr(campaign, "fit_batch", campaign_scene.singular(records, bad))
+        monkeypatch.setattr(campaign_parts, "fit_batch", campaign_scene.singular(records, bad))
         found = fit_campaign(records, SCAN, tmp_path / "out", draws="float64", **OPTIONS)
         failed = sorted(set(bad) - set(UNFITTED))
         assert found.flags["likelihood_failed"] == len(failed)
@@ -546,7 +546,7 @@ class TestFailures:
             "call with resume goes on from there."
         )
         monkeypatch.undo()
-        monkeypatch.setattr(campaign, "PART_RECORDS", PART)
+        monkeypatch.setattr(campaign_plan, "PART_RECORDS", PART)
         found = fit_campaign(records, SCAN, tmp_path / "out", resume=True, **OPTIONS)
         assert found.n_resumed == PART * len(kept)
         same_folders(found.folder, plain)

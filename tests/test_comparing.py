@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_rs import InputError, compare, load_scan, load_turbulence, plot_comparison
-from bayes_rs.design.comparing import COLUMNS, scan_of
+from bayes_rs import InputError, compare, load_turbulence, plot_comparison
+from bayes_rs.design.comparing import COLUMNS
 from bayes_rs.jobs.compare_job import run_compare
 
 FLOW = load_turbulence("fu-2022")
@@ -71,30 +71,11 @@ class TestTable:
 
 
 class TestScans:
-    def test_a_probe_can_be_given_and_taken_away(self):
-        probe = scan_of("6-beam@probe=pulsed-4-beam-probe").probe
-        assert probe.parameters() == load_scan("pulsed-4-beam-probe").probe.parameters()
-        assert scan_of("pulsed-4-beam-probe@probe=point").probe.parameters() == {}
-        with pytest.raises(InputError, match="no-such-scan"):
-            scan_of("6-beam@probe=no-such-scan")
-
-    def test_changes(self):
-        scan = scan_of("4-beam@opening_angle_deg=20,focus_distance=49+98")
-        assert scan.n_beam == 8
-        assert np.allclose(-scan.line_of_sight[:, 0], np.cos(np.deg2rad(20.0)))
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("6-beam@angle=3", "change of scan '6-beam'"),
-            ("6-beam@tilt_deg=a", "Invalid tilt_deg 'a' of scan '6-beam'"),
-            ("6-beam@tilt_deg=1+2", "only focus distances may be several"),
-            ("no-such-scan", "no-such-scan"),
-        ],
-    )
-    def test_refusals(self, text, message):
-        with pytest.raises(InputError, match=message):
-            scan_of(text)
+    def test_changes_behind_a_name_are_in_the_label_and_in_the_scan(self):
+        names = ["pulsed-4-beam", "pulsed-4-beam@probe=point"]
+        table = compare(names, FLOW, n_records=4, estimators=["lsp"]).query("estimator == 'lsp'").set_index("scan")
+        assert table.index.tolist() == names
+        assert table.loc[names[0], "bias"] < table.loc[names[1], "bias"]  # the estimators know of no probe
 
     def test_nothing_to_compare(self):
         with pytest.raises(InputError, match="There is no scan to compare"):

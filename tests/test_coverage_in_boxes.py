@@ -1,5 +1,6 @@
 """Coverage on records of simulated turbulence: truths from the prior, noise from boxes that no noise model has seen."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name, method, relative_va
 
 def test_ignoring_the_correlation_of_the_beams_is_caught(relative_variances):
     """The test has power: fifty beams taken as independent are far too sure of uu."""
-    from dataclasses import replace  # noqa: PLC0415
 
     scan = load_scan("50-beam")
     noise = load_noise(models_folder("noise") / "50-beam.nc")

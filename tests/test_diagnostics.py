@@ -52,7 +52,7 @@ class TestAgainstArviz:
 
 
 def test_autocorrelation_time_is_that_of_emcee():
-    import emcee  # noqa: PLC0415
+    import emcee  # noqa: PLC0415 - slow to load
 
     draws = autoregressive(0.8, (16, 2000), 5)
     expected = emcee.autocorr.integrated_time(draws.T[:, :, None], c=5, has_walkers=True)[0]

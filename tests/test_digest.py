@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import plain_noise
 
-from bayes_rs import Nuisances, load_scan, make_prior
+from bayes_rs import Nuisances, load_noise, load_scan, make_prior
 from bayes_rs.campaigns.digest import digest
 
 
@@ -43,8 +43,6 @@ class TestEqual:
         assert digest(one) == digest(other)
 
     def test_noise_that_was_saved_and_read_is_the_same(self, tmp_path):
-        from bayes_rs import load_noise  # noqa: PLC0415
-
         noise = plain_noise(load_scan("6-beam"))
         noise.save(tmp_path / "noise.nc")
         assert digest(load_noise(tmp_path / "noise.nc")) == digest(noise)

@@ -2,40 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import json
 
-import h5py
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ray_files import e_windlidar, rays_of, six_beam
+from ray_checks import CHANGES, FLOW, SIX, check_changed, check_cut_off, check_refused, check_same_records
+from ray_files import e_windlidar, rays_of
 
-from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers import read_radial_velocity
 from bayes_rs.readers.e_windlidar import e_windlidar_rays, read_e_windlidar, recognises_e_windlidar
 from bayes_rs.readers.format import resolve_format
-from bayes_rs.records.making import make_records
 from bayes_rs.simulation.virtual import simulate
-from bayes_rs.turbulence.mann import MannTurbulence
 
-SIX = six_beam(100.0, 150.0)
-FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
-NUMBER = itertools.count()
 VARIABLES = ("VEL", "CNR", "range", "azimuth_angle", "elevation_angle", "time")
-CHANGES = {
-    "drop": lambda rays, name: rays.drop_vars(name),
-    "text": lambda rays, name: rays.assign({name: (rays[name].dims, np.full(rays[name].shape, "?"))}),
-    "bytes": lambda rays, name: rays.assign({name: (rays[name].dims, np.full(rays[name].shape, b"?"))}),
-    "number": lambda rays, name: rays.assign({name: ((), 1.0)}),
-    "nan": lambda rays, name: rays.assign({name: rays[name] * np.nan}),
-    "huge": lambda rays, name: rays.assign({name: rays[name].astype(float) * 1e300}),
-    "other_dim": lambda rays, name: rays.assign({name: ("other", np.arange(5.0))}),
-    "no_attrs": lambda rays, name: rays.assign({name: rays[name].drop_attrs()}),
-}
+OWN_CHANGES = {**CHANGES, "no_attrs": lambda rays, name: rays.assign({name: rays[name].drop_attrs()})}
 ATTRIBUTES = [
     ("units", "\u00b0?"),
     ("units", 7),
@@ -70,11 +53,7 @@ class TestRoundTrip:
         e_windlidar(table, time=time).to_netcdf(file, engine="h5netcdf")
         assert recognises_e_windlidar(file)
         back = read_radial_velocity(file, SIX)
-        records, expected = make_records(back, SIX), make_records(series, SIX)
-        for name in ("variance", "mean", "wind_speed", "yaw"):
-            np.testing.assert_allclose(records[name], expected[name], rtol=1e-12, atol=1e-13, err_msg=name)
-        for name in ("count", "flag", "time", "beam"):
-            np.testing.assert_array_equal(records[name], expected[name], err_msg=name)
+        check_same_records(back, series)
         assert (back["cnr"] == -12.5).all()
         assert json.loads(back.attrs["read_report"])["files"][0]["format"] == "e-windlidar"
 
@@ -132,76 +111,52 @@ class TestRoundTrip:
         np.testing.assert_array_equal(away, -towards)
 
 
-class TestBadFiles:
-    def refused(self, folder, rays, match):
-        rays.to_netcdf(folder / "bad.nc", engine="h5netcdf")
-        with pytest.raises(InputError, match=match) as caught:
-            read_radial_velocity(folder / "bad.nc", SIX, file_format="e-windlidar")
-        assert "bad.nc" in str(caught.value)
-        assert "\n" not in str(caught.value)
+def refused(folder, rays, match):
+    check_refused(folder, rays, "e-windlidar", match)
 
+
+class TestBadFiles:
     @pytest.mark.parametrize(
         ("name", "ours"),
         [("VEL", "radial velocity"), ("time", "time"), ("azimuth_angle", "azimuth"), ("range", "distance")],
     )
     def test_missing_variables(self, tmp_path, short, name, ours):
-        self.refused(tmp_path, short.drop_vars(name), f"no variable '{name}' for the {ours} of its rays")
+        refused(tmp_path, short.drop_vars(name), f"no variable '{name}' for the {ours} of its rays")
 
     def test_times_since_nothing(self, tmp_path, short):
         short = short.assign_coords(time=short["time"].drop_attrs())
-        self.refused(tmp_path, short, "counts seconds .* no units, long_name or comment of it says since when")
+        refused(tmp_path, short, "counts seconds .* no units, long_name or comment of it says since when")
 
     def test_times_that_are_no_times(self, tmp_path, table):
         rays = e_windlidar(table.take(slice(0, 12)), time="text").reset_coords()
         text = rays["time"].values
         rays = rays.assign(time=("time", np.where(np.arange(12) == 3, "soon", text).astype(object))).reset_coords()
-        self.refused(tmp_path, rays, "Invalid time 'soon' in ray 4 of file")
+        refused(tmp_path, rays, "Invalid time 'soon' in ray 4 of file")
         rays = rays.assign(time=("time", np.where(np.arange(12) == 3, "", text).astype(object))).reset_coords()
         rays.to_netcdf(tmp_path / "gap.nc", engine="h5netcdf")
         back = read_radial_velocity(tmp_path / "gap.nc", SIX)
         assert json.loads(back.attrs["read_report"])["rows_without_time"] == 1
 
     def test_angles_of_no_lidar(self, tmp_path, short):
-        self.refused(tmp_path, short.assign(azimuth_angle=short["azimuth_angle"] + 1e4), "Invalid azimuth 10000")
+        refused(tmp_path, short.assign(azimuth_angle=short["azimuth_angle"] + 1e4), "Invalid azimuth 10000")
 
     def test_a_direction_that_the_scan_does_not_have(self, tmp_path, short):
-        self.refused(tmp_path, short.assign(elevation_angle=short["elevation_angle"] - 30.0), "No ray of file")
+        refused(tmp_path, short.assign(elevation_angle=short["elevation_angle"] - 30.0), "No ray of file")
 
     def test_files_that_are_cut_off(self, tmp_path, short):
         file = tmp_path / "noon.nc"
         short.to_netcdf(file, engine="h5netcdf")
-        whole = file.read_bytes()
-        for length in np.linspace(0, len(whole) - 1, 20).astype(int):
-            file.write_bytes(whole[:length])
-            with pytest.raises(InputError, match=r"noon\.nc"):
-                read_e_windlidar(file, SIX, resolve_format({}, SIX))
-            assert not recognises_e_windlidar(file)
+        check_cut_off(file, read_e_windlidar, recognises_e_windlidar, 20)
 
     @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(
-        st.lists(st.tuples(st.sampled_from(sorted(CHANGES)), st.sampled_from(VARIABLES)), max_size=2),
+        st.lists(st.tuples(st.sampled_from(sorted(OWN_CHANGES)), st.sampled_from(VARIABLES)), max_size=2),
         st.lists(st.tuples(st.sampled_from(ATTRIBUTES), st.sampled_from(VARIABLES)), max_size=1),
     )
     def test_a_changed_file_is_read_or_refused_with_its_name(self, tmp_path, short, changes, attributes):
-        rays = short
-        with np.errstate(all="ignore"):
-            for change, name in changes:
-                if name in rays.variables and rays[name].ndim and rays[name].dtype.kind in "fi":
-                    with contextlib.suppress(ValueError):  # some are no dataset at all
-                        rays = CHANGES[change](rays, name)
-        file = tmp_path / f"bad{next(NUMBER)}.nc"  # a library may hold on to a file that it could not open
-        rays.to_netcdf(file, engine="h5netcdf")
-        with h5py.File(file, "a") as written:
-            for (key, value), name in attributes:
-                if name in written:
-                    written[name].attrs[key] = value
-        for kind in ("e-windlidar", "auto"):
-            try:
-                message, back = "", read_radial_velocity(file, SIX, file_format=kind)
-            except InputError as error:
-                message, back = str(error), None
-            assert back is None or set(back["beam"].values) <= set(SIX.beam)
-            assert back is not None or (file.name in message and "\n" not in message)
+        check_changed(
+            tmp_path, short, "e-windlidar", [(OWN_CHANGES[change], name) for change, name in changes], attributes
+        )
 
 
 def test_rays_keep_what_the_file_says_of_them(tmp_path, short):

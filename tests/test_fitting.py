@@ -1,13 +1,25 @@
 """The fit: calibration on records of known R, flags, targets, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import InputError, NoiseMismatchError, load_scan
+from bayes_rs import (
+    InputError,
+    NoiseMismatchError,
+    calibrate,
+    load_scan,
+    load_turbulence,
+    make_records,
+    noise_for_records,
+    simulate,
+)
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
 from bayes_rs.results.fitting import fit
 from bayes_rs.results.result import FLAGS, flag_words
@@ -163,8 +175,6 @@ class TestSeeds:
 
 class TestNoiseBank:
     def test_each_record_gets_the_noise_of_its_own_wind_speed(self):
-        from dataclasses import replace  # noqa: PLC0415
-
         scan = load_scan("staring")
         calm = replace(plain_noise(scan, relative_variance=0.2), wind_speed=4.0)
         windy = replace(plain_noise(scan, relative_variance=0.01), wind_speed=16.0)
@@ -179,12 +189,10 @@ class TestNoiseBank:
 class TestProbe:
     def test_the_variance_that_the_probe_took_is_given_back(self):
         """R comes out the same from probed variances and probed noise as from points: the gain undoes the probe."""
-        from bayes_rs import calibrate, load_turbulence, noise_for_records  # noqa: PLC0415
-
         turbulence = load_turbulence("fu-2022")
         stress = np.array([1.2, 0.77, 0.49, 0.0, -0.36, 0.0])
         trace = {}
-        for name in ("pulsed-4-beam", "pulsed-4-beam-probe"):
+        for name in ("pulsed-4-beam@probe=point", "pulsed-4-beam"):
             scan = load_scan(name)
             gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain
             records = records_of(np.tile(gain @ stress, (3, 1)), scan)
@@ -195,7 +203,31 @@ class TestProbe:
             assert np.isfinite(fit(records, scan, noise=spread, seed=1)["posterior/stress"]).all()
             result = fit(records.isel(record=[1]), scan, noise=noise, seed=1, target_ess=4000)
             trace[name] = float(result["posterior/stress"].sel(component=["uu", "vv", "ww"]).sum("component").mean())
-        assert trace["pulsed-4-beam-probe"] == pytest.approx(trace["pulsed-4-beam"], rel=0.05)
+        assert trace["pulsed-4-beam"] == pytest.approx(trace["pulsed-4-beam@probe=point"], rel=0.05)
+
+    def test_the_preset_of_an_instrument_undoes_its_probe_and_as_points_reads_low_by_it(self):
+        """Records of a virtual lidar with a probe; that of points, fitted as such, has the same bias of the method."""
+        flow, count = load_turbulence("fu-2022"), 300
+        probed, points = load_scan("pulsed-4-beam"), load_scan("pulsed-4-beam@probe=point")
+        noise = {scan.name: calibrate(scan, flow, wind_speed=10.0, cache=False) for scan in (probed, points)}
+
+        def uu(seen_with, fitted_as):
+            series = simulate(seen_with, flow, wind_speed=10.0, n_records=count, seed=11)
+            records = make_records(series, seen_with).isel(record=slice(0, count))
+            records = records.assign(
+                wind_speed=("record", np.full(count, 10.0)), yaw=("record", np.zeros(count))
+            ).assign_attrs(scan=fitted_as.name, scan_key=fitted_as.key)
+            made = fit(records, fitted_as, noise=noise[fitted_as.name], seed=1, sampler="direct", target_ess=400)
+            return made["posterior/stress"].sel(component="uu").mean(("chain", "draw")).values
+
+        undone, low, reference = uu(probed, probed), uu(probed, points), uu(points, points)
+        error = np.sqrt(undone.var() + reference.var()) / np.sqrt(count) / reference.mean()
+        assert error < 0.016
+        assert undone.mean() / reference.mean() == pytest.approx(1.0, abs=4.0 * error)  # Monte Carlo
+        left = 1.0 - float(probe_loss(noise["pulsed-4-beam"], [10.0], [0.0]).mean())
+        assert 0.8 < left < 0.9
+        # the same records: what differs is the gain, weighed with R of the posterior here and of the flow there
+        assert low.mean() / undone.mean() == pytest.approx(left, abs=0.015)
 
 
 class TestRefusals:

@@ -12,7 +12,16 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from format_files import compress, long_frame, series_of, wide_frame, write_hpl, write_spinnerlidar, write_zx
+from format_files import (
+    compress,
+    long_frame,
+    series_of,
+    wide_frame,
+    write_hpl,
+    write_mini_raw,
+    write_spinnerlidar,
+    write_zx,
+)
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
@@ -285,6 +294,120 @@ class TestZX:
         file = write_statistics(tmp_path)
         with pytest.raises(InputError, match=r"Wind10_317.csv' holds ZX's statistics .* read it with read_statistics"):
             read_radial_velocity(file, ZX, separator=";", decimal=",")
+
+
+COUNTS = {"phase_zero_deg": 0.0, "phase_turns": "up"}
+
+
+class TestZXByHeadings:
+    @pytest.mark.parametrize("radian", [False, True])
+    def test_same_records(self, tmp_path, radian):
+        turns = series_of(ZX, n_scan=40)
+        file = write_mini_raw(tmp_path / "raw.csv", turns, ZX, radian=radian)
+        series = read_radial_velocity(file, ZX, **COUNTS)
+        assert_same(series, turns)
+        assert_same_records(series, turns, ZX)
+        report = report_of(series)
+        missing = int(np.isnan(turns["radial_velocity"]).sum())
+        assert report["rows_invalid_value"] == missing
+        assert missing > 13  # each mark of a bad value
+        (of_file,) = report["files"]
+        assert of_file["format"] == "zx"
+        assert of_file["invalid"] == list(range(9987, 10000))
+        assert of_file["columns"] == {
+            "time": "Timestamp (ISO 8601)",
+            "phase": "Phase (rad)" if radian else "Phase (deg)",
+            "radial_velocity": "LOS Velocity (m/s)",
+        }
+
+    @pytest.mark.parametrize("phase", ["Azimuth", "Scan angle (deg)", "Phase angle [°]", "PRISM AZIMUTH (degrees)"])
+    @pytest.mark.parametrize("velocity", ["LOS", "Line of sight speed (m/s)", "line-of-sight velocity [m s-1]"])
+    def test_headings_that_are_taken(self, tmp_path, phase, velocity):
+        turns = series_of(ZX, n_scan=1)
+        names = {"Phase (deg)": phase, "LOS Velocity (m/s)": velocity}
+        file = write_mini_raw(tmp_path / "raw.csv", turns, ZX, **names)
+        assert_same(read_radial_velocity(file, ZX, **COUNTS), turns)
+
+    @pytest.mark.parametrize("pattern", ["%d/%m/%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f"])
+    def test_times_of_the_older_converter(self, tmp_path, pattern):
+        turns = series_of(ZX, n_scan=1)
+        file = write_mini_raw(tmp_path / "raw.csv", turns, ZX, **{"Timestamp (ISO 8601)": "Time and Date"})
+        frame = pd.read_csv(file)
+        frame["Time and Date"] = pd.to_datetime(frame["Time and Date"]).dt.strftime(pattern)
+        frame.to_csv(file, index=False)
+        assert_same(read_radial_velocity(file, ZX, **COUNTS), turns)
+
+    def test_a_column_that_is_named_counts_first(self, tmp_path):
+        turns = series_of(ZX, n_scan=1)
+        file = write_mini_raw(tmp_path / "raw.csv", turns, ZX)
+        frame = pd.read_csv(file)
+        frame["Azimuth"] = frame["Phase (deg)"]
+        frame["Phase (deg)"] += 90.0
+        frame.to_csv(file, index=False)
+        with pytest.raises(InputError, match=r"several columns that could be phase, 'Phase \(deg\)', 'Azimuth': say"):
+            read_radial_velocity(file, ZX, **COUNTS)
+        assert_same(read_radial_velocity(file, ZX, columns={"phase": "Azimuth"}), turns)
+        turned = read_radial_velocity(file, ZX, columns={"phase": "Phase (deg)"}, phase_zero_deg=-90.0)
+        assert_same(turned, turns)
+
+    @pytest.mark.parametrize("counts", [{}, {"phase_zero_deg": 0.0}, {"phase_turns": "down"}])
+    def test_how_a_phase_counts_is_not_guessed(self, tmp_path, counts):
+        file = write_mini_raw(tmp_path / "raw.csv", series_of(ZX, n_scan=1), ZX)
+        words = r"does not say where its 'Phase \(deg\)' is zero and which way it turns: give phase_zero_deg"
+        with pytest.raises(InputError, match=words):
+            read_radial_velocity(file, ZX, **counts)
+
+    @pytest.mark.parametrize(
+        ("names", "columns", "words"),
+        [
+            (
+                {"Phase (deg)": "Angle"},
+                None,
+                r"no column 'phase' for phase: its columns are 'Timestamp \(ISO 8601\)', ",
+            ),
+            ({"LOS Velocity (m/s)": "v (km/h)"}, None, "no column 'radial_velocity' for radial_velocity: .*'v \\(km/h"),
+            ({"Timestamp (ISO 8601)": "t"}, None, "no column 'time' for time: its columns are 't', 'Range"),
+            ({}, {"phase": "Angle"}, "no column 'Angle' for phase: its columns are"),
+        ],
+    )
+    def test_columns_that_are_not_there(self, tmp_path, names, columns, words):
+        file = write_mini_raw(tmp_path / "raw.csv", series_of(ZX, n_scan=1), ZX, **names)
+        with pytest.raises(InputError, match=words):
+            read_radial_velocity(file, ZX, file_format="zx", columns=columns, **COUNTS)
+
+    def test_magnitudes_all_round_an_upward_cone(self, tmp_path):
+        scan = load_scan("zx-300")
+        one_height = scan.select(scan.beam[:50])
+        turns = series_of(one_height, n_scan=3)
+        azimuth = np.degrees(np.arctan2(one_height.beam_direction[:, 1], one_height.beam_direction[:, 0]))
+        velocity = turns["radial_velocity"].values
+        signed = np.where(np.tile(azimuth, 3) > 0.0, velocity, -velocity)
+        for values, refused in ((np.abs(velocity), True), (signed, False)):
+            frame = pd.DataFrame({"time": turns["time"], "phase": np.tile(azimuth, 3), "radial_velocity": values})
+            frame.to_csv(tmp_path / "raw.csv", index=False)
+            if refused:
+                with pytest.raises(InputError, match=r"holds magnitudes .* upward cone of scan 'zx-300'.* with signs"):
+                    read_radial_velocity(tmp_path / "raw.csv", one_height, file_format="zx")
+            else:
+                read_radial_velocity(tmp_path / "raw.csv", one_height, file_format="zx")
+
+    def test_pairs_at_heights_of_the_rotor_are_no_scan(self, tmp_path):
+        """The headings are those of the README of the Hill of Towie open dataset, v2."""
+        sides = [f"{side} LOS Speed (m/s) at Rotor Segment Height 59.0m" for side in ("Left", "Right")]
+        frame = pd.DataFrame({"Timestamp (ISO 8601)": ["2026-01-01T00:00:00"], "Range (m)": [208.0]})
+        frame[sides] = [[8.1, 9987.0]]
+        frame.to_csv(tmp_path / "Wind_ZTM5060.csv", index=False)
+        with pytest.raises(InputError, match="holds ZX TM's wind: line-of-sight speeds left and right at heights"):
+            read_radial_velocity(tmp_path / "Wind_ZTM5060.csv", ZX)
+
+    def test_a_long_table_stays_one(self, tmp_path):
+        turns = series_of(ZX, n_scan=1)
+        file = write_mini_raw(tmp_path / "raw.csv", turns, ZX)
+        frame = pd.read_csv(file).assign(beam=turns["beam"].values)
+        frame.to_csv(file, index=False)
+        columns = {"time": "Timestamp (ISO 8601)", "radial_velocity": "LOS Velocity (m/s)"}
+        series = read_radial_velocity(file, ZX, columns=columns, invalid=list(range(9987, 10000)))
+        assert report_of(series)["files"][0]["format"] == "long"
 
 
 FIRST = (

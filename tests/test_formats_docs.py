@@ -20,7 +20,7 @@ def test_the_page_names_every_format_and_its_sign():
         (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")]
         if "positive" in reader.defaults:
             assert reader.defaults["positive"] in row.split("|")[3]
-        for value in reader.defaults.get("invalid", ()):
-            assert f"{value:g}" in row
+        if invalid := reader.defaults.get("invalid", ()):
+            assert f"| {min(invalid):g} to {max(invalid):g} |" in row
         stamp = reader.defaults.get("time_stamp")
         assert (stamp or "as it stands") in row

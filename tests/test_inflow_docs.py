@@ -11,7 +11,7 @@ from bayes_rs import inflow_confounding, load_scan, load_turbulence, theory_nois
 ROOT = Path(__file__).parents[1]
 SCANS = {
     "four beams, 15°, 98 m": ("4-beam", {}),
-    "pulsed, four beams": ("pulsed-4-beam", {}),
+    "pulsed, four beams": ("pulsed-4-beam@probe=point", {}),
     "six beams, 15°, 98 m": ("6-beam", {}),
     "six beams, 45°, 126 m": ("6-beam", {"opening_angle_deg": 45.0, "focus_distance": 126.0}),
     "50 beams, 15°, 98 m": ("50-beam", {}),

@@ -70,7 +70,7 @@ def test_moments_are_those_of_the_noise_model():
     np.testing.assert_allclose(relative, noise.covariance, atol=5.0 * 0.06 * np.sqrt(3.0 / n_draw))
 
 
-@pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar", "staring-planes"])
+@pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar@probe=point", "staring-planes"])
 def test_reduced_density_is_that_of_the_projected_data(name, stress):
     """Any orthonormal basis of the column space at the reference shape, by another route than the code's."""
     scan = load_scan(name)
@@ -142,7 +142,7 @@ def test_a_tensor_that_gives_a_beam_no_variance_has_likelihood_zero():
     assert np.isneginf(likelihood.log_density(np.array([[-np.ones(6)]]))[0, 0])
 
 
-@pytest.mark.parametrize(("name", "n_draw"), [("6-beam", 3), ("6-beam", 20_000), ("spinnerlidar", 400)])
+@pytest.mark.parametrize(("name", "n_draw"), [("6-beam", 3), ("6-beam", 20_000), ("spinnerlidar@probe=point", 400)])
 def test_draws_do_not_depend_on_those_beside_them(name, n_draw):
     """Records and draws are worked on in blocks: several records, one record, and parts of a record at a time."""
     scan = load_scan(name)

@@ -5,9 +5,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scenes import point_scan
 
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.noise.theory import theory_noise
@@ -19,18 +19,6 @@ from bayes_rs.turbulence.two_point import radial_covariance
 SEED = load_turbulence("fu-2022")
 ROUNDING = 1e-12  # roots of matrices of a few hundred rows, entries of size 1
 SIGMAS = 4.5  # Monte Carlo, some hundred numbers
-
-
-def point_scan(directions, distance=98.0, scan_duration=1.0, times=None):
-    n = len(directions)
-    directions = np.asarray(directions, dtype=float)
-    return Scan(
-        "points",
-        directions / np.linalg.norm(directions, axis=1, keepdims=True),
-        focus_distance=np.broadcast_to(np.asarray(distance, dtype=float), n),
-        beam_time=np.zeros(n) if times is None else times,
-        scan_duration=scan_duration,
-    )
 
 
 def slow_covariance(scan, turbulence, wind_speed, n_sample):
@@ -170,7 +158,7 @@ class TestNegativeParts:
         assert maker.negative_part < 1e-9
 
     def test_a_covariance_that_belongs_to_no_process_is_refused(self, monkeypatch):
-        def box(first, second, across, along, turbulence, *, probe, lengths, tolerance):  # noqa: ARG001
+        def box(_first, _second, _across, along, *_rest, **_options):
             return np.where(np.abs(along) < 35.0, 1.0, 0.0)
 
         monkeypatch.setattr(lines, "probed_covariance", box)
@@ -194,7 +182,7 @@ class TestExtremes:
 
     def test_a_hundred_beams_closer_than_the_eddies(self):
         """Their matrices are as good as singular."""
-        scan = load_scan("spinnerlidar")
+        scan = load_scan("spinnerlidar@probe=point")
         maker = LineMaker(scan.select(scan.beam[::4]), SEED, wind_speed=10.0, n_sample=6, embedding="circulant")
         assert maker.negative_part < 1e-9
         assert np.all(maker.make(2, seed=1).var(axis=-1) > 0.0)
@@ -204,22 +192,23 @@ class TestExtremes:
     def test_four_hundred_beams_for_ten_minutes_in_two_gibibytes(self):
         """About half a minute; numpy reports its arrays to tracemalloc."""
         tracemalloc.start()
-        maker = LineMaker(load_scan("spinnerlidar"), SEED, wind_speed=10.0, n_sample=300)
+        maker = LineMaker(load_scan("spinnerlidar@probe=point"), SEED, wind_speed=10.0, n_sample=300)
         velocity = maker.make(32, seed=1)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 2**31
         assert maker.negative_part < 1e-9
-        noise = theory_noise(load_scan("spinnerlidar"), SEED, wind_speed=10.0)
+        noise = theory_noise(load_scan("spinnerlidar@probe=point"), SEED, wind_speed=10.0)
         expected = (1.0 + noise.bias) * (noise.gain @ SEED.stresses())
         deviation = velocity.var(axis=-1) / expected - 1.0
         assert abs(deviation.mean()) < SIGMAS * np.sqrt(noise.covariance.mean() / 32)
 
     def test_too_large_for_memory(self):
+        scan = load_scan("spinnerlidar")
         with pytest.raises(
             InputError, match=r"2000 samples of each of 400 beams of scan 'spinnerlidar' need 2\.4 GiB .* than 1\.5 GiB"
         ):
-            LineMaker(load_scan("spinnerlidar"), SEED, wind_speed=10.0, n_sample=2000)
+            LineMaker(scan, SEED, wind_speed=10.0, n_sample=2000)
 
 
 class TestTruth:

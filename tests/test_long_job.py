@@ -15,7 +15,7 @@ import xarray as xr
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
 
 from bayes_rs import InputError, MissingExtraError, make_records, read_radial_velocity, read_summary
-from bayes_rs.campaigns import campaign, record_store
+from bayes_rs.campaigns import campaign_plan, record_store, tables
 from bayes_rs.campaigns.record_store import store_records
 from bayes_rs.campaigns.workers import connect
 from bayes_rs.jobs.long_job import run_long_fit
@@ -27,7 +27,7 @@ N_FILE = 5
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(campaign, "PART_RECORDS", 128)
+    monkeypatch.setattr(campaign_plan, "PART_RECORDS", 128)
     monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
 
 
@@ -62,7 +62,7 @@ def same(one, other):
     """Check that two runs have the same tables and records, bit by bit."""
     pd.testing.assert_frame_equal(read_summary(one), read_summary(other), check_exact=True)
     for name in ("summary", "posterior"):
-        for file in campaign.part_files(one, name):
+        for file in tables.part_files(one, name):
             assert file.read_bytes() == (other / file.relative_to(one)).read_bytes()
     xr.testing.assert_identical(*(xr.load_dataset(of / "records.nc", engine="h5netcdf") for of in (one, other)))
 
@@ -80,7 +80,8 @@ class TestNumbers:
         for name in records.data_vars:
             np.testing.assert_array_equal(found[name], records[name])
         assert found.sizes["record"] == N_RECORD
-        assert json.loads(found.attrs["records_report"]) == json.loads(records.attrs["records_report"])
+        for name in ("records_report", "read_report"):
+            assert json.loads(found.attrs[name]) == json.loads(records.attrs[name]), name
         outcome = run_long_fit(records, SCAN, tmp_path / "out", noise_file=noise, target_ess=100, seed=3)
         pd.testing.assert_frame_equal(outcome.campaign.summary(), read_summary(whole), check_exact=True)
 
@@ -203,6 +204,16 @@ class TestFilesThatChange:
         same(tmp_path / "out", whole)
 
 
+def without_skipped_files(folder):
+    """Take the files that were skipped out of the report of reading, and return them."""
+    records = xr.load_dataset(folder / "records.nc", engine="h5netcdf")
+    report = json.loads(records.attrs["read_report"])
+    skipped, report["files_skipped"] = report["files_skipped"], []
+    records.attrs["read_report"] = json.dumps(report)
+    records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+    return skipped
+
+
 def garble(file):
     lines = file.read_text().splitlines()
     lines[len(lines) * 3 // 4] = "2000-01-01 00:1?,0,oops"
@@ -236,8 +247,11 @@ class TestBadFiles:
             said = json.loads((outcome.campaign.folder / "run.json").read_text())["bad_files"]
             assert said == outcome.bad_files
         same(tmp_path / "50", tmp_path / "100000")
-        good = [file for file in files.iterdir() if file.name != "7-day.csv"]
+        good = sorted(file for file in files.iterdir() if file.name != "7-day.csv")
         run(good, tmp_path / "good", noise)
+        for folder in ("50", "good"):
+            skipped = [entry["name"].removesuffix(".gz") for entry in without_skipped_files(tmp_path / folder)]
+            assert skipped == (["7-day.csv"] if folder == "50" else [])
         same(tmp_path / "50", tmp_path / "good")
 
     def test_none_is_good(self, tmp_path, noise):

@@ -24,13 +24,16 @@ SHIPPED = {
     "6-beam": load_scan("6-beam"),
     "50-beam": load_scan("50-beam"),
     "51-beam": load_scan("51-beam"),
-    "zx-tm": load_scan("zx-tm"),
+    "zx-tm-point": load_scan("zx-tm@probe=point"),
     "6-beam-45deg-52m": load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0),
     "50-beam-45deg-52m": load_scan("50-beam", opening_angle_deg=45.0, focus_distance=52.0),
-    "pulsed-4-beam": load_scan("pulsed-4-beam"),
+    "pulsed-4-beam-point": load_scan("pulsed-4-beam@probe=point"),
 }
 
-SHIPPED_BANKS = ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
+SHIPPED_BANKS = {
+    name: name
+    for name in ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam", "zx-tm", "pulsed-4-beam")
+} | {f"{name}-point": f"{name}@probe=point" for name in ("zx-tm", "pulsed-4-beam")}
 
 
 def make_noise(scan, *, wind_speed=10.0, yaw=0.0, **changes):
@@ -62,6 +65,17 @@ class TestEveryNoiseModel:
         scan = load_scan("4-beam")
         check_noise(make_noise(scan, standard_error=np.full((4, 4), 0.01), n_realizations=12.5), scan, tmp_path)
 
+    def test_a_model_is_used_as_a_bank_of_one(self):
+        model = make_noise(load_scan("4-beam"))
+        bank = NoiseBank(model.models)
+        assert bank.models == (model,)
+        assert (model.n_beam, model.duration, model.turbulence) == (bank.n_beam, bank.duration, bank.turbulence)
+        flow = {"length_scale": [30.0, 90.0], "gamma": 2.0}  # of no influence on a model of one turbulence
+        own, other = (noise.for_records([5.0, 8.0], [0.1, 0.2], **flow) for noise in (model, bank))
+        for name in ("bias", "gain", "covariance", "wind_speed", "yaw"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+            np.testing.assert_array_equal(getattr(own, name), getattr(model.for_records([5.0, 8.0], [0.1, 0.2]), name))
+
     def test_bank(self, tmp_path):
         scan = load_scan("4-beam")
         bank = NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (5.0, 10.0) for y in (-0.3, 0.3)))
@@ -71,7 +85,7 @@ class TestEveryNoiseModel:
     def test_shipped(self, name, tmp_path):
         noise = load_noise(models_folder("noise") / f"{name}.nc")
         check_noise(noise, SHIPPED[name], tmp_path)
-        for model in noise.models if isinstance(noise, NoiseBank) else (noise,):
+        for model in noise.models:
             assert model.method == "boxes"
             assert model.duration == 600.0
             assert model.details["n_boxes"] >= 150
@@ -83,7 +97,7 @@ class TestEveryNoiseModel:
     @pytest.mark.parametrize("name", SHIPPED_BANKS)
     def test_shipped_bank_by_theory(self, name, tmp_path):
         file = models_folder("noise") / f"{name}-theory.nc"
-        bank, scan = load_noise(file), load_scan(name)
+        bank, scan = load_noise(file), load_scan(SHIPPED_BANKS[name])
         check_noise(bank, scan, tmp_path)
         assert {model.method for model in bank.models} == {"theory"}
         assert bank.interpolation_error < 0.01
@@ -124,13 +138,13 @@ class TestShippedNumbers:
         assert np.all(gap < 5.0 * np.sqrt(2.0) * noise.standard_error + 1e-12)
 
     def test_lighter_wind_is_noisier(self):
-        bank = load_noise(models_folder("noise") / "pulsed-4-beam.nc")
+        bank = load_noise(models_folder("noise") / "pulsed-4-beam-point.nc")
         ahead = [model for model in bank.models if model.yaw == 0.0]
         error = [model.relative_error.mean() for model in sorted(ahead, key=lambda model: model.wind_speed)]
         assert np.all(np.diff(error) < 0.0)
 
     def test_half_the_wind_speed_is_nearly_the_root_of_two_in_noise(self):
-        bank = load_noise(models_folder("noise") / "pulsed-4-beam.nc")
+        bank = load_noise(models_folder("noise") / "pulsed-4-beam-point.nc")
         slow, fast = (
             next(m for m in bank.models if m.yaw == 0.0 and m.wind_speed == speed).relative_error.mean()
             for speed in (4.5, 14.0)
@@ -152,6 +166,19 @@ class TestBank:
     def test_nearest_in_logarithm_of_speed_and_in_yaw(self, wind_speed, yaw, state):
         noise = self.make_bank().for_records([wind_speed], [yaw])  # √(4 · 9) = 6 is half way in ln U
         assert noise.state.tolist() == [state]
+
+    def test_every_array_is_that_of_the_nearest_state(self):
+        models = self.make_bank().models
+        bank = NoiseBank(
+            tuple(
+                replace(model, bias=model.bias + 0.01 * i, covariance=model.covariance * (i + 1.0))
+                for i, model in enumerate(models)
+            )
+        )
+        noise = bank.for_records([9.0, 4.0, 9.0], [0.5, 0.5, -0.5])
+        for record, state in enumerate((3, 1, 2)):
+            np.testing.assert_array_equal(noise.bias[record], bank.models[state].bias)
+            np.testing.assert_array_equal(noise.covariance[record], bank.models[state].covariance)
 
     def test_what_is_outside_is_marked(self):
         noise = self.make_bank().for_records([3.9, 3.0, 120.0, 9.0, 9.0], [0.0, 0.0, 0.0, 0.53, 0.6])
@@ -221,6 +248,13 @@ class TestNet:
     def test_a_net_without_one_state_is_none(self):
         assert self.bank().net is not None
         assert self.bank(order=range(8)).net is None
+
+    def test_records_of_one_wind_speed_differ_by_their_direction(self):
+        bank = self.bank()
+        turned = NoiseBank(tuple(replace(m, covariance=m.covariance * (1.0 + m.yaw)) for m in bank.models))
+        noise = turned.for_records([8.0, 8.0], [-0.4, 0.4])
+        np.testing.assert_allclose(noise.covariance[1], noise.covariance[0] * 1.4 / 0.6, rtol=1e-12)
+        assert noise.state[0] != noise.state[1]
 
     def test_records_do_not_depend_on_each_other(self):
         together = self.bank().for_records([5.0, 7.0, 7.0, 11.0], [0.1, 0.2, 0.2, -0.3])

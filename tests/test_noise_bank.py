@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scenes import records_of
 
 from bayes_rs.calibration import bank as noise_bank
 from bayes_rs.calibration.bank import measure_interpolation, theory_bank
@@ -12,6 +13,7 @@ from bayes_rs.calibration.calibrating import METHODS
 from bayes_rs.calibration.choice import noise_for_records
 from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.probe import ContinuousWaveProbe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.model import NoiseBank, NoiseModel
 from bayes_rs.noise.theory import theory_noise
@@ -51,7 +53,9 @@ class TestStatedError:
         assert np.max(error) < 1.2 * bank.interpolation_error
         assert np.max(error) > 0.1 * bank.interpolation_error
         np.testing.assert_allclose(noise.bias, [model.bias for model in truth], atol=2e-3)
-        np.testing.assert_allclose(noise.gain, [model.gain for model in truth], atol=1e-8)
+        # the design matrix is exact at every yaw; what a probe changes in it, up to a fifth, is interpolated over 20°
+        exact = not load_scan(name).probe.parameters()
+        np.testing.assert_allclose(noise.gain, [model.gain for model in truth], atol=1e-8 if exact else 5e-3)
 
     def test_some_beams_stand_for_all(self):
         scan = load_scan("51-beam").select(np.arange(0, 50, 2))
@@ -92,8 +96,6 @@ class TestStatedError:
         assert relative_distance(noise.covariance[0], truth.covariance) < 1.2 * bank.interpolation_error
 
     def test_a_probe_is_interpolated(self):
-        from bayes_rs.geometry.probe import ContinuousWaveProbe  # noqa: PLC0415
-
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
         bank = theory_bank(scan, FLOW, wind_speed=[8.0, 14.0], yaw_deg=[0.0, 20.0], duration=120.0, cache=False)
         noise = bank.for_records([11.0], np.deg2rad([9.0]))
@@ -127,7 +129,8 @@ class TestCache:
         scan = options.pop("scan", load_scan("2-beam"))
         return theory_bank(scan, options.pop("turbulence", FLOW), **options)
 
-    def test_second_time_nothing_is_calculated(self, tmp_path, no_theory, monkeypatch):  # noqa: ARG002
+    @pytest.mark.usefixtures("no_theory")
+    def test_second_time_nothing_is_calculated(self, tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setitem(METHODS, "theory", REAL)
             first = self.make(tmp_path)
@@ -149,7 +152,8 @@ class TestCache:
             {"scan": load_scan("2-beam", focus_distance=99.0)},
         ],
     )
-    def test_anything_else_is_calculated(self, tmp_path, changes, no_theory, monkeypatch):  # noqa: ARG002
+    @pytest.mark.usefixtures("no_theory")
+    def test_anything_else_is_calculated(self, tmp_path, changes, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setitem(METHODS, "theory", REAL)
             self.make(tmp_path)
@@ -190,7 +194,8 @@ class TestForRecords:
         truth = theory_noise(scan, FLOW, wind_speed=7.7, yaw=0.41)
         error = relative_distance(bank.for_records([7.7], [0.41]).covariance[0], truth.covariance)
         assert error < 1.2 * bank.interpolation_error
-        assert find_shipped_noise(scan, FLOW, method="boxes").models[0].method == "boxes"
+        points = load_scan("pulsed-4-beam@probe=point")
+        assert find_shipped_noise(points, FLOW, method="boxes").models[0].method == "boxes"
         assert find_shipped_noise(load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0), FLOW) is None
         with pytest.raises(InputError, match="Unknown method of shipped noise 'lines'"):
             find_shipped_noise(scan, FLOW, method="lines")
@@ -270,8 +275,6 @@ class TestFit:
 
     @pytest.fixture
     def scene(self):
-        from scenes import records_of  # noqa: PLC0415
-
         scan = load_scan("2-beam")
         bank = theory_bank(scan, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], cache=False)
         records = records_of(np.random.default_rng(1).uniform(0.8, 1.2, (4, 2)), scan)
@@ -309,8 +312,6 @@ class TestFit:
         np.testing.assert_array_equal(fit(records, scan, noise=bank, seed=3, target_ess=100)["posterior/stress"], whole)
 
     def test_records_with_a_turbulence_of_their_own(self):
-        from scenes import records_of  # noqa: PLC0415
-
         scan = load_scan("staring")
         models = [
             replace(theory_noise(scan, FLOW, wind_speed=9.0), turbulence=replace(FLOW, length_scale=scale))

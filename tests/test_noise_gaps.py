@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.probe import ContinuousWaveProbe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.gaps import gap_noise
 from bayes_rs.noise.theory import theory_noise
@@ -132,8 +133,6 @@ class TestLaws:
         np.testing.assert_allclose(noise.gain, half.gain * ratio[:, None], atol=1e-11)
 
     def test_probe_volumes_have_gaps_too(self):
-        from bayes_rs.geometry.probe import ContinuousWaveProbe  # noqa: PLC0415
-
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
         whole = theory_noise(scan, FLOW, wind_speed=9.0, duration=60.0)
         noise = gap_noise(scan, FLOW, np.ones((2, 60), dtype=bool), wind_speed=9.0, duration=60.0)

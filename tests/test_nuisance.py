@@ -7,7 +7,18 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import InputError, Nuisances, fit, load_scan, radial_variance
+from bayes_rs import (
+    InputError,
+    Nuisances,
+    compare_inflow,
+    fit,
+    load_scan,
+    load_turbulence,
+    make_records,
+    mean_wind,
+    radial_variance,
+    simulate,
+)
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.noise.model import NoiseBank
@@ -220,10 +231,151 @@ class TestEffect:
         assert "yaw ± 3°" in result.attrs["nuisances"]
 
 
+class TestYawOfRecords:
+    """Each record says itself how uncertain its wind direction is."""
+
+    OWN = Nuisances(yaw_sd_deg="records")
+
+    @staticmethod
+    def turned(scan, stress, error_deg, noise, rng):
+        """Records whose beams were turned by these errors, one for each record."""
+        variance = [
+            draw_variances(one[None], replace(scan, yaw=np.deg2rad(delta)), noise, rng)
+            for one, delta in zip(stress, error_deg, strict=True)
+        ]
+        return records_of(np.concatenate(variance), scan)
+
+    @pytest.mark.parametrize("sampler", ["emcee", "direct"])
+    def test_equal_deviations_are_the_one_of_all(self, sampler):
+        scan, noise, stress, rng = scene("6-beam", 13, 4)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan).assign(yaw_sd=("record", np.full(4, 3.0)))
+        options = {"noise": noise, "seed": 1, "sampler": sampler, "target_ess": 100}
+        own = fit(records, scan, nuisances=self.OWN, **options)
+        one = fit(records, scan, nuisances=Nuisances(yaw_sd_deg=3.0), **options)
+        for name in ("stress", "yaw_error"):
+            np.testing.assert_array_equal(own["posterior"][name].values, one["posterior"][name].values)
+        np.testing.assert_array_equal(own["observed_data/yaw_sd"].values, np.full(4, 3.0))
+        assert own.attrs["nuisances"] == "yaw ± what each record says (one standard deviation)"
+
+    @pytest.mark.parametrize("sampler", ["emcee", "direct"])
+    def test_a_record_is_the_same_in_any_company(self, sampler, monkeypatch):
+        scan, noise, stress, rng = scene("6-beam", 14, 5)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        records = records.assign(yaw_sd=("record", [4.0, 0.0, 9.0, 1.0, 25.0]))
+        records["flag"].values[1, 2] = 1  # one that goes the other way through a batch
+        options = {"noise": noise, "seed": 1, "sampler": sampler, "target_ess": 100, "nuisances": self.OWN}
+        whole = fit(records, scan, **options)
+        monkeypatch.setattr("bayes_rs.results.fitting._CHUNK", 2)
+        parts = fit(records, scan, **options)
+        for name in ("stress", "yaw_error"):
+            np.testing.assert_array_equal(whole["posterior"][name].values, parts["posterior"][name].values)
+            for index in range(5):
+                alone = fit(records.isel(record=[index]), scan, **options)["posterior"][name]
+                np.testing.assert_array_equal(alone.isel(record=0).values, whole["posterior"][name][:, :, index].values)
+
+    def test_more_uncertain_directions_make_wider_posteriors(self):
+        scan, noise, stress, rng = scene("6-beam", 15, 1, opening_angle_deg=45.0)
+        variance = np.repeat(draw_variances(stress, scan, noise, rng), 5, axis=0)
+        records = records_of(variance, scan).assign(yaw_sd=("record", [0.0, 5.0, 10.0, 20.0, 0.0]))
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 4000}
+        result = fit(records, scan, nuisances=self.OWN, **options)
+        width = result["posterior/stress"].std(("chain", "draw")).sel(component="uv").values
+        # a standard deviation of 4000 draws is good to 1/√8000 = 1.1 %; five of them are the least that is told apart
+        assert np.all(np.diff(np.log(width[:4])) > 5.0 / np.sqrt(8000.0))
+        np.testing.assert_array_equal(result["posterior/yaw_error"].values[:, :, [0, 4]], 0.0)
+        known = fit(records, scan, **options)["posterior/stress"]
+        found = result["posterior/stress"]
+        for index in (0, 4):  # a deviation of 0: the direction is known
+            one, other = (draws.isel(record=index).values.reshape(-1, 6) for draws in (known, found))
+            error = np.sqrt(2.0 / 4000.0) * one.std(axis=0)
+            assert np.all(np.abs(one.mean(axis=0) - other.mean(axis=0)) < 5.0 * error)
+
+    def test_directions_of_two_qualities_in_one_data_set(self):
+        scan, noise, stress, rng = scene("6-beam", 16, opening_angle_deg=45.0)
+        sd = np.where(np.arange(N_RECORD) % 2, 2.0, 20.0)
+        error = sd * rng.standard_normal(N_RECORD)
+        records = self.turned(scan, stress, error, noise, rng).assign(yaw_sd=("record", sd))
+        options = {"noise": noise, "seed": 1, "target_ess": 400, "sampler": "auto"}
+        result = fit(records, scan, nuisances=self.OWN, **options)
+        check_coverage(result, stress)
+        check_coverage(result, stress, "yaw_error", error)
+        # the root mean square of both for all: too much for half of the records, too little for the other
+        one = Nuisances(yaw_sd_deg=float(np.sqrt((sd**2).mean())))
+        common = fit(records, scan, nuisances=one, **options)
+        for some in (sd == 2.0, sd == 20.0):
+            check_coverage(result.isel(record=some), stress[some])
+            check_coverage(result.isel(record=some), stress[some], "yaw_error", error[some])
+            with pytest.raises(AssertionError):
+                check_coverage(common.isel(record=some), stress[some], "yaw_error", error[some])
+
+    def test_what_the_mean_wind_says_is_used(self):
+        scan, flow = load_scan("6-beam"), load_turbulence("fu-2022")
+        records = make_records(simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1), scan)
+        noise = plain_noise(scan)
+        with pytest.raises(InputError, match=r"have no yaw_sd .* mean_wind\(records, scan, turbulence=...\)"):
+            fit(records, scan, noise=noise, seed=1, nuisances=self.OWN)
+        wind = mean_wind(records, scan, turbulence=flow)
+        result = fit(wind, scan, noise=noise, seed=1, sampler="direct", nuisances=self.OWN)
+        np.testing.assert_array_equal(result["observed_data/yaw_sd"].values, wind["yaw_sd"].values)
+        # little of it is seen, so that the posterior is about as wide as the prior; 1000 draws
+        width = result["posterior/yaw_error"].std(("chain", "draw")).values
+        np.testing.assert_allclose(width, wind["yaw_sd"].values, rtol=0.2)
+
+    def test_a_record_without_one_is_refused_or_gets_what_is_said(self):
+        scan, noise, stress, rng = scene("6-beam", 17, 5)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        records = records.assign(yaw_sd=("record", [4.0, np.nan, np.nan, np.nan, 1.0]))
+        records["wind_speed"].values[1] = np.nan  # not fitted: nothing is asked of it
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 100}
+        words = r"Invalid yaw_sd nan degrees of record 2 \(2020-01-01T00:20\), one of 2: .* give yaw_sd_missing_deg"
+        with pytest.raises(InputError, match=words):
+            fit(records, scan, nuisances=self.OWN, **options)
+        for bad in (-1.0, np.inf):
+            with pytest.raises(InputError, match=f"Invalid yaw_sd {bad} degrees of record 4"):
+                fit(
+                    records.assign(yaw_sd=("record", [4.0, 4.0, 4.0, 4.0, bad])),
+                    scan,
+                    nuisances=Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=5.0),
+                    **options,
+                )
+        filled = fit(records, scan, nuisances=Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=7.0), **options)
+        given = records.assign(yaw_sd=("record", [4.0, 0.0, 7.0, 7.0, 1.0]))
+        said = fit(given, scan, nuisances=self.OWN, **options)
+        np.testing.assert_array_equal(filled["posterior/stress"].values, said["posterior/stress"].values)
+        assert filled.attrs["nuisances"].startswith("yaw ± what each record says (7° where it does not)")
+
+    def test_inflows_are_compared_with_it(self):
+        scan, noise, stress, rng = scene("6-beam", 18, 2)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan).assign(yaw_sd=("record", [3.0, 3.0]))
+        options = {"noise": noise, "seed": 1, "n_draw": 500, "leave_one_out": True}
+        own = compare_inflow(records, scan, nuisances=replace(self.OWN, vertical_gradient_sd=0.5), **options)
+        one = compare_inflow(records, scan, nuisances=Nuisances(yaw_sd_deg=3.0, vertical_gradient_sd=0.5), **options)
+        assert own.equals(one)
+
+
+class TestTurbulenceOfRecords:
+    def test_noise_that_does_not_know_it_is_refused(self):
+        scan, noise, stress, rng = scene("6-beam", 19, 3)  # L = 61 m, Γ = 3.2
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 100}
+        plain = fit(records, scan, **options)["posterior/stress"].values
+        for name, own, words in (
+            ("length_scale", [61.0, 61.2, 70.0], r"Record 2 has a length_scale .*, 70 m, .* only 61 m: .*drop_vars"),
+            ("gamma", [2.0, 3.2, 3.2], r"Record 0 has a gamma of its own, 2, .* only 3.2: .*theory_bank\(..., gamma="),
+        ):
+            with pytest.raises(InputError, match=words):
+                fit(records.assign({name: ("record", own)}), scan, **options)
+        near = records.assign(length_scale=("record", [61.0, 61.2, 60.8]), gamma=("record", [3.2, 3.2, 3.21]))
+        np.testing.assert_array_equal(fit(near, scan, **options)["posterior/stress"].values, plain)
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
+            ({"yaw_sd_deg": "beams"}, "Unknown yaw_sd_deg 'beams': it must be one of records"),
+            ({"yaw_sd_deg": "records", "yaw_sd_missing_deg": -1.0}, "Invalid yaw_sd_missing_deg -1"),
+            ({"yaw_sd_deg": 2.0, "yaw_sd_missing_deg": 1.0}, "Invalid yaw_sd_missing_deg 1 with yaw_sd_deg 2"),
             ({"yaw_sd_deg": -1.0}, "Invalid yaw_sd_deg -1"),
             ({"tilt_sd_deg": np.nan}, "Invalid tilt_sd_deg nan"),
             ({"inflation": 0.0}, "Invalid inflation 0"),

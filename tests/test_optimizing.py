@@ -10,9 +10,9 @@ from scenes import records_of
 
 import bayes_rs as brs
 from bayes_rs import cli
-from bayes_rs.design.optimizing import SAME_OPTIMUM
 from bayes_rs.design.scan_criteria import _FastGain, _FastNoise, local_prior_covariance, make_criterion, trace_criterion
 from bayes_rs.design.scan_limits import FEASIBLE, free_arcs
+from bayes_rs.design.scan_optimum import SAME_OPTIMUM
 from bayes_rs.geometry.scan_file import cone_direction
 from bayes_rs.jobs.optimize_job import plot_optimum, run_optimize, summary_lines
 from bayes_rs.models import preset_names
@@ -159,7 +159,7 @@ class TestFastNoise:
         assert np.std(ratio, axis=0).max() < 1e-3
 
     def test_gains_of_a_probe(self):
-        scan = brs.load_scan("pulsed-4-beam-probe")
+        scan = brs.load_scan("pulsed-4-beam")
         gain = _FastGain(scan, SEED).transfer(scan.line_of_sight[np.newaxis])[0]
         exact, _ = probe_transfer(scan.line_of_sight, scan.probe_length, scan.probe, SEED)
         np.testing.assert_allclose(gain, exact, atol=1e-3)  # 2.5e-4 measured over all directions

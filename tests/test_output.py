@@ -100,7 +100,7 @@ class TestFolder:
     def test_a_folder_that_appears_meanwhile_is_not_removed(self, tmp_path):
         """A fit takes minutes: another run of the same name may end first."""
         final = tmp_path / "out"
-        with pytest.raises(InputError, match="exists"), output_folder(final) as folder:  # noqa: PT012
+        with pytest.raises(InputError, match="exists"), output_folder(final) as folder:  # noqa: PT012 - it fails at the end of the block
             (folder / "second.txt").write_text("second")
             earlier_run(final, "first")
         assert (final / "summary.csv").read_text() == "first"
@@ -134,7 +134,7 @@ class TestFailureInsideTheBlock:
     @pytest.mark.parametrize("error", [ValueError("bad"), OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
     def test_what_was_written_is_kept_and_the_error_says_where(self, tmp_path, error):
         final = tmp_path / "out"
-        with pytest.raises(type(error)) as caught, output_folder(final) as folder:  # noqa: PT012
+        with pytest.raises(type(error)) as caught, output_folder(final) as folder:  # noqa: PT012 - it fails at the end of the block
             (folder / "posterior.nc").write_text("hours of sampling")
             raise error
         assert caught.value is error
@@ -151,7 +151,7 @@ class TestFailureInsideTheBlock:
 
     def test_the_earlier_run_is_still_there(self, tmp_path):
         final = earlier_run(tmp_path / "out")
-        with pytest.raises(ValueError, match="bad"), output_folder(final, overwrite=True) as folder:  # noqa: PT012
+        with pytest.raises(ValueError, match="bad"), output_folder(final, overwrite=True) as folder:  # noqa: PT012 - it fails at the end of the block
             (folder / "new.txt").write_text("new")
             raise ValueError("bad")
         assert (final / "summary.csv").read_text() == "earlier"
@@ -192,7 +192,7 @@ class TestFile:
                 output_file(tmp_path, overwrite=overwrite).__enter__()
 
     def test_a_failure_leaves_nothing_and_keeps_what_was_there(self, regular_file):
-        with pytest.raises(ValueError, match="bad"), output_file(regular_file, overwrite=True) as part:  # noqa: PT012
+        with pytest.raises(ValueError, match="bad"), output_file(regular_file, overwrite=True) as part:  # noqa: PT012 - it fails at the end of the block
             part.write_text("half")
             raise ValueError("bad")
         assert regular_file.read_text() == "text"

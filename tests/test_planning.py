@@ -36,7 +36,7 @@ def test_equal_pairs_are_counted_once():
 
 def test_probe_volume_is_integrated_where_it_matters_and_only_there():
     assert decisions("6-beam")[0]["probe volume"].decision == "no probe integral"
-    steps, made = decisions("pulsed-4-beam-probe")
+    steps, made = decisions("pulsed-4-beam")
     assert steps["probe volume"].decision == "integrated along every beam"
     assert made.noise.details["probe_loss"] > 0.01
 

@@ -243,6 +243,35 @@ class TestStresses:
     def test_title_says_what_the_scan_sees(self, figure):
         assert figure.get_suptitle() == "6-beam: sees all six stresses; prior weak"
 
+    def test_truth_is_marked_in_every_panel_and_in_the_legend(self, result, figure, tmp_path):
+        each = TRUTH * np.array([1.0, 0.8, 1.1, 0.9])[:, None]
+        for truth, expected in ((TRUTH, np.tile(TRUTH, (4, 1))), (each, each)):
+            marked = plot_stresses(result, truth=truth)
+            for index, axis in enumerate(marked.axes):
+                (line,) = [line for line in axis.lines if to_hex(line.get_color()) == TRUTH_COLOUR]
+                np.testing.assert_array_equal(line.get_ydata(), expected[:, index])
+                np.testing.assert_array_equal(line.get_xdata(), result["posterior"].coords["time"])
+            assert "truth" in [text.get_text() for text in marked.legends[0].get_texts()]
+        assert has_colour(saved(marked, tmp_path / "marked.png"), TRUTH_COLOUR)
+        assert "truth" not in [text.get_text() for text in figure.legends[0].get_texts()]
+        assert not any(to_hex(line.get_color()) == TRUTH_COLOUR for axis in figure.axes for line in axis.lines)
+
+    def test_truth_of_one_record_is_a_point(self):
+        (line,) = plot_stresses(fitted(1), truth=TRUTH).axes[4].lines[-2:-1]
+        assert (line.get_marker(), line.get_ydata().tolist()) == ("s", [TRUTH[4]])
+
+    @pytest.mark.parametrize(
+        ("truth", "message"),
+        [
+            ([1.0, 0.5, 0.3], r"Invalid truth of shape \(3,\): the shape must be \(6\)"),
+            (np.ones((3, 6)), r"Invalid truth of shape \(3, 6\): the shape must be \(4, 6\)"),
+            ([np.nan] * 6, r"Invalid truth: the entry at \(0,\) is nan"),
+        ],
+    )
+    def test_truth_that_is_refused(self, result, truth, message):
+        with pytest.raises(InputError, match=message):
+            plot_stresses(result, truth=truth)
+
     def test_prob_that_is_no_probability(self, result):
         with pytest.raises(InputError, match=r"Invalid prob 90: it must be between 0 and 1"):
             plot_stresses(result, prob=90)

@@ -24,7 +24,7 @@ CASES = {
     "four beams": ("4-beam", {}, WeakPrior(), None),
     "staring": ("staring", {}, WeakPrior(), None),
     "boundary": ("6-beam", {"opening_angle_deg": 45.0}, FlatPrior(bound=2.0), [1.0, 0.05, 0.02, 0.2, -0.13, -0.025]),
-    "400 beams": ("spinnerlidar", {}, WeakPrior(), None),
+    "400 beams": ("spinnerlidar@probe=point", {}, WeakPrior(), None),
 }
 LEVELS = [0.05, 0.5, 0.95]
 

@@ -493,8 +493,8 @@ class TestByName:
         ("text", "message"),
         [
             ("jeffreys", r"Unknown prior 'jeffreys': it must be one of weak, flat, ratio, mann"),
-            ("flat:limit=3", r"Unknown parameter of prior 'flat' 'limit': it must be one of bound"),
-            ("flat:name=3", r"Unknown parameter of prior 'flat' 'name'"),
+            ("flat:limit=3", r"Unknown parameter 'limit' of prior 'flat': it must be one of bound"),
+            ("flat:name=3", r"Unknown parameter 'name' of prior 'flat'"),
             ("flat:bound=ten", r"Invalid bound 'ten' of prior 'flat': it must be a number, such as 25"),
             ("flat:bound=-1", r"Invalid bound -1.0 m² s⁻² in prior 'flat': it must be a finite number above"),
             ("flat:bound=nan", r"Invalid bound nan m² s⁻² in prior 'flat'"),

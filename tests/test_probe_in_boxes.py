@@ -126,7 +126,7 @@ class TestGain:
         assert "probe_excess" not in noise.details
 
     def test_noise_passes_the_checker(self, tmp_path):
-        scan = load_scan("pulsed-4-beam-probe")
+        scan = load_scan("pulsed-4-beam")
         noise = calibrate(
             scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, method="boxes", n_boxes=4, cache=tmp_path / "cache"
         )

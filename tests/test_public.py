@@ -151,5 +151,5 @@ def test_the_command_line_does_not_load_the_science_for_its_help():
     code = (
         "import sys, bayes_rs.cli; print(sorted({'numpy', 'scipy', 'matplotlib', 'emcee', 'arviz'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603 - our own
     assert done.stdout.strip() == "[]"

@@ -16,7 +16,16 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from format_files import compress, long_frame, series_of, wide_frame, write_hpl, write_spinnerlidar, write_zx
+from format_files import (
+    compress,
+    long_frame,
+    series_of,
+    wide_frame,
+    write_hpl,
+    write_mini_raw,
+    write_spinnerlidar,
+    write_zx,
+)
 from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
 
 from bayes_rs.errors import InputError
@@ -125,6 +134,10 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
             "phase_turns": "down",
         },
     ),
+    "zx by headings": (
+        lambda folder: write_mini_raw(folder / "a.csv", series_of(ZX, n_scan=2), ZX),
+        {"scan": ZX, "phase_zero_deg": 0.0, "phase_turns": "up"},
+    ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
     "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
@@ -207,7 +220,7 @@ def run_compiled(kind: str, first: int, last: int) -> tuple[int, list[str]]:
     command = [sys.executable, "-W", "ignore", __file__, kind, str(first), str(last)]
     limit = 30.0 + SECONDS_PER_FILE + 0.5 * (last - first)
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)  # noqa: S603
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)  # noqa: S603 - our own
     except subprocess.TimeoutExpired as expired:
         said = (expired.stdout or b"").decode().splitlines()
         return len(said), [f"hangs at {said[-1]}"]

@@ -151,6 +151,7 @@ class TestWindows:
         np.testing.assert_array_equal(np.diff(records["time"]) / SECOND, 600.0)
         np.testing.assert_array_equal(records["count"][:, 1], [600, 600, 0, 0, 600])
         np.testing.assert_array_equal(flags(records, "no_samples").sum(axis=1), [0, 0, 3, 1, 0])
+        assert not flags(records, "too_few_samples").any()  # each flag tells its own cause
         assert np.isnan(records["variance"].values[2]).all()
         assert np.isnan(records["wind_speed"].values[2])
         assert report_of(records)["records_without_samples"] == 1
@@ -209,6 +210,7 @@ class TestFlags:
         velocity[beam == 2] = np.nan
         records = make_records(series_of(seconds, beam, velocity), SCAN)
         np.testing.assert_array_equal(flags(records, "all_missing"), [[False, False, True]] * 2)
+        assert not flags(records, "too_few_samples").any()
         assert np.isnan(records["variance"].values[:, 2]).all()
         assert report_of(records)["dropped"] == {"missing": 1200, "status": 0, "cnr": 0, "despike": 0}
         assert "beams without a usable sample in any record: 2" in describe_report(records)
@@ -244,6 +246,32 @@ class TestFlags:
         assert np.isfinite(records["variance"].values[0, 1])  # the number stays
         if flagged:
             assert any(line.startswith("flag too_few_samples (fewer than") for line in describe_report(records))
+
+
+class TestManyFiles:
+    @staticmethod
+    def of(*files):
+        common = {"rows": 10, "format": "long", "positive": "away", "velocity_unit": "m/s", "time_zone": "UTC"}
+        report = {
+            "files": [{"name": f"{index}.csv", **common, **file} for index, file in enumerate(files)],
+            "files_skipped": [],
+            "beams_present": [0],
+            "beams_absent": [],
+            "samples": 1,
+            "samples_without_velocity": 0,
+            "duplicates_dropped": 0,
+        }
+        return describe_report(xr.Dataset(attrs={"read_report": json.dumps(report)}))[:-2]
+
+    def test_few_have_a_line_each(self):
+        assert len(self.of(*[{}] * 20)) == 20
+
+    def test_many_that_were_read_alike_share_one(self):
+        lines = self.of(*[{}] * 19, {"positive": "towards"}, *[{"rows_dropped": 1}] * 5)
+        assert lines == [
+            "24 files, 0.csv to 24.csv: 240 rows (long), positive away, m/s, UTC; 5 dropped without a time or a beam",
+            "19.csv: 10 rows (long), positive towards, m/s, UTC",
+        ]
 
 
 class TestFilters:
@@ -358,7 +386,10 @@ class TestMeanWind:
         assert turned == pytest.approx(0.0, abs=1e-9)
         assert records["tilt"].values == pytest.approx(5.0)
         assert not records["record_flag"].any()
-        assert report_of(records)["records_with_wind_from_behind"] == int(abs(yaw_deg) > 90.0)
+        behind = int(abs(yaw_deg) > 90.0)
+        assert report_of(records)["records_with_wind_from_behind"] == behind
+        line = "wind from behind the lidar (more than 90° from its axis): 1 of 1 records"
+        assert describe_report(records).count(line) == behind
 
     def test_each_record_uses_its_own_valid_beams(self):
         scan = load_scan("4-beam")

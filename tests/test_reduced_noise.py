@@ -69,7 +69,7 @@ def densities(batch, bank, options=OPTIONS):
     return short.log_density(draws), long_way.likelihood.log_density(draws)
 
 
-@pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar"])
+@pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar@probe=point"])
 @pytest.mark.parametrize("target", ["record", "ensemble"])
 def test_at_the_states_it_is_the_long_way_to_rounding(name, target):
     scan = load_scan(name)

@@ -74,7 +74,7 @@ class TestContent:
             "import bayes_rs as brs\n\nwide: brs.Scan = brs.load_scan('6-beam')\nwrong: int = brs.load_scan('6-beam')\n"
         )
         command = [sys.executable, "-m", "mypy", "--config-file=", "--follow-imports=silent", "use.py"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)  # noqa: S603
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)  # noqa: S603 - our own
         assert 'use.py:4: error: Incompatible types in assignment (expression has type "Scan"' in done.stdout
         assert done.stdout.count("error:") == 1, done.stdout
 
@@ -105,7 +105,7 @@ class TestContent:
         code = (
             "import importlib.metadata as m; [e] = m.entry_points(group='console_scripts', name='bayes-rs'); e.load()()"
         )
-        done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=True)  # noqa: S603
+        done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=True)  # noqa: S603 - our own
         assert done.stdout == f"bayes-rs, version {bayes_rs.__version__}\n"
 
     def test_the_module_runs_as_the_command(self):

@@ -157,6 +157,11 @@ class TestPictures:
         assert page.locator("[data-figure=corner] path.band").count() == 21
         assert "Gaussian" in page.locator("#corner-words").text_content()
 
+    def test_the_prior_is_drawn_with_and_without_draws(self, open_page):
+        page = open_page("tables")
+        assert page.locator("[data-figure=corner] path.prior").count() == 21
+        assert "prior at the posterior's size" in page.locator("#corner-words").text_content()
+
     def test_the_picture_holds_the_numbers(self, open_page):
         """The median's line of uu against the axis: its ticks say where the numbers are."""
         page = open_page("full")
@@ -266,7 +271,7 @@ class TestPicker:
         assert page.evaluate("document.activeElement.id") == "main"
 
     def test_records_are_chosen_by_time_where_there_are_many(self, open_page, files, monkeypatch, tmp_path):
-        from bayes_rs.report import page as module  # noqa: PLC0415
+        from bayes_rs.report import page as module  # noqa: PLC0415 - slow to load
 
         monkeypatch.setattr(module, "MOST_OPTIONS", 2)
         files["by time"] = write_report(files["full"].parent / "full", tmp_path / "page.html")

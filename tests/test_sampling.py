@@ -75,10 +75,10 @@ def check_sampler(name, likelihood, prior, *, n_reference, records=(0, 1), targe
 
 
 @pytest.mark.parametrize("sampler", QUICK)
-@pytest.mark.parametrize("name", ["staring", "4-beam", "6-beam", "50-beam", "spinnerlidar"])
+@pytest.mark.parametrize("name", ["staring", "4-beam", "6-beam", "50-beam", "spinnerlidar@probe=point"])
 def test_posterior_under_the_weak_prior(name, sampler):
     prior = WeakPrior(log_sd_uu=0.5)  # narrow in size, so that the prior's own draws can be the reference
-    many = name == "spinnerlidar"
+    many = name == "spinnerlidar@probe=point"
     check_sampler(
         sampler,
         build(load_scan(name), 3, prior, 1),
@@ -121,7 +121,7 @@ def test_a_wrong_target_is_caught():
 
 def test_emcee_on_raw_stresses_gives_the_same_posterior():
     """No coordinates at all: the raw stresses, the limits as an indicator, the stretch move."""
-    import emcee  # noqa: PLC0415
+    import emcee  # noqa: PLC0415 - slow to load
 
     prior = FlatPrior(bound=4.0)  # flat in the stresses themselves: no Jacobian to get wrong
     likelihood = build(load_scan("6-beam", opening_angle_deg=40.0), 1, FlatPrior(bound=2.0), 4)

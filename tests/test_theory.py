@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from scenes import point_scan
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.noise.theory import _covariance_error, sample_counts, sonic_moments, theory_noise
@@ -18,18 +18,6 @@ def projection(n, detrend):
     columns = np.stack([np.ones(n), np.arange(n)], axis=-1)[:, : 1 if detrend == "mean" else 2]
     basis = np.linalg.qr(columns)[0]
     return np.eye(n) - basis @ basis.T
-
-
-def point_scan(directions, distance=98.0, scan_duration=1.0, times=None):
-    n = len(directions)
-    directions = np.asarray(directions, dtype=float)
-    return Scan(
-        "points",
-        directions / np.linalg.norm(directions, axis=1, keepdims=True),
-        focus_distance=np.broadcast_to(np.asarray(distance, dtype=float), n),
-        beam_time=np.zeros(n) if times is None else times,
-        scan_duration=scan_duration,
-    )
 
 
 class TestErrorBound:
@@ -174,7 +162,7 @@ class TestExtremes:
         assert noise.details["negative_part"] < 1e-6
         assert np.all(noise.relative_error > 0.0)
 
-    @pytest.mark.parametrize("name", ["51-beam", pytest.param("spinnerlidar", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("name", ["51-beam", pytest.param("spinnerlidar@probe=point", marks=pytest.mark.slow)])
     def test_many_beams_that_are_nearly_dependent(self, name):
         noise = theory_noise(load_scan(name), SEED, wind_speed=10.0)
         assert np.linalg.eigvalsh(noise.covariance)[0] > 0.0

@@ -80,8 +80,8 @@ class TestLines:
             ("6-beam", 600.0, N_RECORDS),
             ("50-beam", 120.0, N_RECORDS),
             pytest.param("50-beam", 600.0, N_RECORDS, marks=pytest.mark.long),
-            pytest.param("spinnerlidar", 100.0, N_RECORDS, marks=pytest.mark.long),
-            pytest.param("spinnerlidar", 600.0, 1000, marks=pytest.mark.long),
+            pytest.param("spinnerlidar@probe=point", 100.0, N_RECORDS, marks=pytest.mark.long),
+            pytest.param("spinnerlidar@probe=point", 600.0, 1000, marks=pytest.mark.long),
         ],
     )
     def test_bias_and_covariance_are_the_theorys(self, name, duration, n_records, flow):
@@ -89,7 +89,7 @@ class TestLines:
 
     @pytest.mark.parametrize("flow", FLOWS)
     def test_a_quarter_of_the_spinnerlidar(self, flow):
-        scan = load_scan("spinnerlidar")
+        scan = load_scan("spinnerlidar@probe=point")
         check_agreement(scan.select(scan.beam[::4]), 100.0, N_RECORDS, flow)
 
     def test_other_angles_yaw_and_tilt(self):

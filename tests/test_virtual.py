@@ -383,7 +383,7 @@ class TestSimulate:
             simulate(load_scan("6-beam"), WIDE_EDDIES, wind_speed=10.0, seed=1, method="magic")
 
     def test_probe_is_told_and_takes_variance(self, settings_of):
-        probed, points = load_scan("pulsed-4-beam-probe"), load_scan("pulsed-4-beam")
+        probed, points = load_scan("pulsed-4-beam"), load_scan("pulsed-4-beam@probe=point")
         series = simulate(probed, WIDE_EDDIES, **settings_of)
         assert json.loads(series.attrs["truth"])["probe"]["kind"] == "pulsed"
         ratio = float(

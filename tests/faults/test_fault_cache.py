@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from scenes import plain_noise
 
 from bayes_rs import InputError, MannTurbulence, calibrate, load_noise, load_scan
+from bayes_rs.calibration import calibrating, store
 
 SCAN = load_scan("2-beam")
 FLOW = MannTurbulence(dissipation=0.04, length_scale=40.0, gamma=2.5)
@@ -47,7 +49,6 @@ def file(entry, tmp_path):
 @pytest.fixture
 def counted(monkeypatch):
     """How often noise was calculated."""
-    from bayes_rs.calibration import calibrating  # noqa: PLC0415
 
     made = []
     original = calibrating.theory_at_states
@@ -72,8 +73,6 @@ class TestDamage:
         assert counted == [1]
 
     def test_every_flipped_bit_is_seen_before_hdf5_reads_it(self, file, monkeypatch):
-        from bayes_rs.calibration import store  # noqa: PLC0415
-
         monkeypatch.setattr(store, "load_noise", None)
         content, rng = file.read_bytes(), np.random.default_rng(5)
         for _ in range(300):
@@ -142,8 +141,6 @@ class TestUsersFiles:
             load_noise(file)
 
     def test_other_programs_read_the_file(self, file):
-        import xarray as xr  # noqa: PLC0415
-
         assert xr.load_dataset(file, engine="h5netcdf").attrs["kind"] == "bayes_rs noise"
 
 
@@ -158,7 +155,7 @@ class TestPlaces:
         """Root may do all: the test goes on as somebody else."""
         (tmp_path / "cache").mkdir(mode=0o000)
         for above in (tmp_path, *tmp_path.parents[:3]):
-            if above.owner() == Path.home().owner() and above != Path("/tmp"):  # noqa: S108
+            if above.owner() == Path.home().owner() and above != Path("/tmp"):  # noqa: S108 - a name to compare with
                 above.chmod(above.stat().st_mode | 0o055)
         child = os.fork()
         if child == 0:

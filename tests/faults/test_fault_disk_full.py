@@ -1,6 +1,7 @@
 """A full disk: what was there stays, nothing half-written takes a name, and one line says why."""
 
 import errno
+import gzip
 import os
 from pathlib import Path
 
@@ -134,7 +135,7 @@ class TestWriters:
     def test_parquet_parts_of_a_long_fit(self, tmp_path, monkeypatch):
         """The writing of the second part fails; what was there goes on being read, and resuming ends it."""
         records, scan, noise = few_records(6)
-        monkeypatch.setattr("bayes_rs.campaigns.campaign.PART_RECORDS", 2)
+        monkeypatch.setattr("bayes_rs.campaigns.campaign_plan.PART_RECORDS", 2)
         options = {"noise": noise, "seed": 3, "target_ess": 100}
         whole = brs.fit_campaign(records, scan, tmp_path / "whole", **options).summary()
         write, count = pd.DataFrame.to_parquet, iter(range(100))
@@ -173,8 +174,6 @@ class TestWriters:
 class TestReading:
     def test_a_full_temporary_folder_is_not_a_damaged_file(self, tmp_path, monkeypatch):
         """Unpacking needs room: a resumable run would count the file as bad for ever."""
-        import gzip  # noqa: PLC0415
-
         file = tmp_path / "a.csv.gz"
         with gzip.open(file, "wt") as packed:
             packed.write("time,beam,radial_velocity\n2020-01-01T00:00:00,0,1.0\n")
@@ -195,7 +194,7 @@ def test_overwriting_a_folder_fails_before_the_old_one_is_touched(tmp_path):
     final = tmp_path / "out"
     with output_folder(final) as folder:
         write_run(folder, {"n": 1})
-    with pytest.raises(OSError, match="No space"), output_folder(final, overwrite=True) as folder:  # noqa: PT012
+    with pytest.raises(OSError, match="No space"), output_folder(final, overwrite=True) as folder:  # noqa: PT012 - it fails at the end of the block
         (folder / "posterior.nc").write_bytes(b"half")
         raise FULL
     assert [file.name for file in final.iterdir()] == ["run.json"]

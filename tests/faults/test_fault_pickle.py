@@ -1,6 +1,8 @@
 """No pickle: nothing that is read can run code. Only worker processes of one run pass pickled jobs among themselves."""
 
 import ast
+import json
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -9,7 +11,9 @@ import numpy as np
 import pytest
 
 import bayes_rs
+from bayes_rs.campaigns import record_store
 from bayes_rs.models import models_folder
+from bayes_rs.report.folder import _draws_of_store
 
 PACKAGE = Path(bayes_rs.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -57,7 +61,6 @@ def test_shipped_files(file):
 
 
 def test_what_a_folder_fit_keeps_while_it_reads(tmp_path, monkeypatch):
-    from bayes_rs.campaigns import record_store  # noqa: PLC0415
 
     monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
     scan = bayes_rs.load_scan("staring")
@@ -71,7 +74,6 @@ def test_what_a_folder_fit_keeps_while_it_reads(tmp_path, monkeypatch):
 
 
 def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
-    from bayes_rs.campaigns import record_store  # noqa: PLC0415
 
     class Evil:
         def __reduce__(self):
@@ -85,10 +87,6 @@ def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
 def test_a_zarr_store_with_a_pickle_is_refused(tmp_path):
     """Version 2 of Zarr has a filter that unpickles: only version 3, which has none, is opened."""
     pytest.importorskip("zarr")
-    import json  # noqa: PLC0415
-    import pickle  # noqa: PLC0415
-
-    from bayes_rs.report.folder import _draws_of_store  # noqa: PLC0415
 
     class Evil:
         def __reduce__(self):

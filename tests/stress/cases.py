@@ -228,7 +228,9 @@ def noise_of_random_scenes(rng: np.random.Generator) -> None:
         mixed.covariance, noise.covariance[np.ix_(order, order)], rtol=1e-9, atol=1e-9 * size + lifted
     )
     stronger = theory_noise(scan, replace(flow, dissipation=flow.dissipation * 10.0 ** rng.uniform(-6, 6)), **options)
-    np.testing.assert_allclose(stronger.covariance, noise.covariance, rtol=1e-9, atol=1e-10 * size)
+    # a record that is short beside the eddies keeps a small part of their variance, and rounding is large beside it
+    rounding = 1e-10 * size / (1.0 + noise.bias.min())
+    np.testing.assert_allclose(stronger.covariance, noise.covariance, rtol=1e-9, atol=rounding)
     factor = 10.0 ** rng.uniform(-1.0, 1.0)
     larger = theory_noise(
         replace(scan, focus_distance=factor * scan.focus_distance),

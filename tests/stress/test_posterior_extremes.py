@@ -135,7 +135,7 @@ def test_a_beam_twice_with_the_same_data_changes_nothing():
     assert np.all(np.abs(plain.mean(axis=1) - again.mean(axis=1)) < 5.0 * error)
 
 
-@pytest.mark.parametrize("name", ["staring", "spinnerlidar"])
+@pytest.mark.parametrize("name", ["staring", "spinnerlidar@probe=point"])
 def test_one_beam_and_four_hundred(name):
     scan = load_scan(name)
     noise = plain_noise(scan)
