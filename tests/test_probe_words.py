@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bayes_rs import calibrate, find_shipped_noise, load_scan, load_turbulence, simulate
+from bayes_rs import calibrate, find_shipped_noise, load_scan, load_turbulence, simulate, write_report
 from bayes_rs.cli import commands
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.probe_words import probe_loss, probe_words
@@ -72,6 +72,8 @@ def test_a_fit_says_what_the_probe_takes_and_the_scans_name_says_that_it_is_off(
         else:
             assert said == []
             assert run["probe_volume"] == ""
+        page = write_report(out).read_text(encoding="utf-8")
+        assert ("Probe volume: pulsed" in page.split('<p class="lead">')[1].split("</p>")[0]) == (said != [])
 
 
 def test_the_plan_says_it_too():

@@ -141,7 +141,9 @@ def _lead(found: FitFolder) -> str:
     when = words.period(found)
     if found.run.get("finished") is False:
         text = f"Not finished, the run goes on or was interrupted. {text}"
-    return f"{text}{f', records from {when}' if when else ''}. Intervals hold {100.0 * found.prob:g} % probability."
+    text += f"{f', records from {when}' if when else ''}. Intervals hold {100.0 * found.prob:g} % probability."
+    probe = str(found.run.get("probe_volume") or "")
+    return f"{text} {probe[:1].upper()}{probe[1:]}." if probe else text
 
 
 def _key_numbers(found: FitFolder, scan: str) -> str:
@@ -162,8 +164,6 @@ def _key_numbers(found: FitFolder, scan: str) -> str:
     noise = found.run.get("noise")
     if isinstance(noise, dict) and "turbulence" in noise:
         entries.append(("Noise", f"{noise.get('method', '')}, {noise['turbulence']}"))
-    if probe := str(found.run.get("probe_volume") or ""):
-        entries.append(("Probe volume", probe.removeprefix("probe volume: ")))
     return pairs(entries, "key-numbers")
 
 

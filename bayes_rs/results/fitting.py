@@ -312,7 +312,7 @@ def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: flo
         start = f" ({str(records['time'].values[bad[0]])[:16]})" if "time" in records.coords else ""
         raise InputError(
             f"Invalid yaw_sd {own[bad[0]]} degrees of record {bad[0]}{start}, one of {len(bad)}: it must be finite, "
-            "zero or above; give yaw_sd_missing_deg for records without one, or a number as yaw_sd_deg for all."
+            "zero or above; give yaw_sd_missing_deg (--yaw-sd-missing) for these, or one yaw_sd_deg (--yaw-sd) for all."
         )
     return own
 
