@@ -252,6 +252,7 @@ class TestManyFiles:
     @staticmethod
     def of(*files):
         common = {"rows": 10, "format": "long", "positive": "away", "velocity_unit": "m/s", "time_zone": "UTC"}
+        common |= {"rows_invalid_value": 0, "rows_dropped": 0, "samples_out_of_order": 0}
         report = {
             "files": [{"name": f"{index}.csv", **common, **file} for index, file in enumerate(files)],
             "files_skipped": [],
