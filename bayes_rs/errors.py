@@ -1,4 +1,4 @@
-"""The errors that carry data: what a caller may want to catch by name."""
+"""The errors that a caller may want to catch by name; two of them carry data."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 python benchmarks/seed_study.py [--records 2000] [--output benchmarks]
 
-Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016: Table 1, Figs. 4 to 7.
+Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016:
+Table 1, Figs. 4 to 7.
 Means and standard deviations are of records of 1800 s (a field of the study) and 600 s at 10 m/s in the turbulence
 `fu-2022`, in an infinite domain, by theory: estimates are linear in the variances, so their moments follow from those
 of the variances. Records simulated on lines check some of them. The study's boxes are 128 m wide and periodic: its

@@ -2,7 +2,8 @@
 
 python benchmarks/seed_study_boxes.py [--fields 100] [--output benchmarks]
 
-Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016: Figs. 4 to 8, Table 1.
+Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016:
+Figs. 4 to 8, Table 1.
 All lidars and the sonic see the same fields, on the study's grid of 8192 x 64 x 64 points. Estimates are of the whole
 field (1800 s) and of its first 600 s. Of the 600-s records the posterior is sampled, too, with the noise by theory:
 its noise model is that of an infinite domain, the boxes are periodic every 128 m. `seed_study.py` is the same study in

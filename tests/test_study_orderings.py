@@ -1,4 +1,4 @@
-"""The conclusions of the scanning-pattern study (Fu, Peña and Mann 2022), each from our own exact numbers.
+"""The conclusions of the scanning-pattern study (Fu, Sebastiani, Peña and Mann 2022), each from our own exact numbers.
 
 Least squares with six stresses is linear in the variances, so its scatter follows from the noise by theory without any
 Monte Carlo: Cov = A⁺ Σ A⁺ᵀ with Σ = K·E E. The interval widths are those of `compare`, with drawn noise.

@@ -165,7 +165,7 @@ def plan_campaign(
     InputError
         If they do not belong together.
     NoiseMismatchError
-        If the noise was made for another scan or record length.
+        If the noise was made for another scan.
     """
     of_fit = options.of_fit
     scan, noise, batch = prepare(

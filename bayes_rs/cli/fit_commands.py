@@ -12,6 +12,7 @@ from bayes_rs.cli.options import (
     NumberOrRecords,
     chosen_nuisances,
     chosen_scan,
+    given_records,
     nuisance_options,
     read_or_make_records,
     read_series,
@@ -134,13 +135,12 @@ def fit(
     """
     from bayes_rs.jobs.fit_job import run_fit
     from bayes_rs.jobs.long_job import MOST_FULL, run_folder_fit, run_long_fit
-    from bayes_rs.jobs.record_files import open_record_files
     from bayes_rs.output import check_output_folder
 
     if not resume:
         check_output_folder(output, overwrite=overwrite)
     scan = chosen_scan(options)
-    made = open_record_files(files, scan)
+    made = given_records(files, scan)
     common: dict[str, Any] = {
         **{name: options[name] for name in _JOB_OPTIONS},
         "overwrite": overwrite,
@@ -193,7 +193,7 @@ def _tell(outcome: Outcome | LongOutcome, output: Path) -> None:
     for line in outcome.words:
         click.echo(line)
     click.echo(f"{outcome.n_fitted} of {outcome.n_record} records fitted; results in {output}")
-    for line in outcome.failures:
+    for line in [*outcome.flags, *outcome.failures]:
         click.echo(line, err=True)
     if outcome.failures:
         sys.exit(EXIT_FLAGGED)

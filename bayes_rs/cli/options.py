@@ -133,6 +133,27 @@ reading_options = _together(
 """How the files are written, as for `bayes_rs.read_radial_velocity`."""
 
 
+_READ_AS_THEY_ARE = (
+    "file_format",
+    "positive",
+    "velocity_unit",
+    "time_zone",
+    "time_format",
+    "time_stamp",
+    "sample_duration",
+    "separator",
+    "decimal",
+    "status_valid",
+    "angle_tolerance_deg",
+    "range_tolerance",
+    "phase_zero_deg",
+    "phase_turns",
+    "on_bad_file",
+    "out_of_order",
+)
+"""Options of reading that `bayes_rs.read_radial_velocity` takes as they are, under the same name."""
+_READING = (*_READ_AS_THEY_ARE, "columns", "beam_numbers", "invalid")
+"""Options of reading."""
 _RULES = (
     "cnr_range",
     "velocity_range",
@@ -148,6 +169,9 @@ _RULES = (
     "exclude",
 )
 """Options of records that `bayes_rs.QualityRules` takes under the same name."""
+
+_MAKING = ("duration", "min_availability", "motion", "motion_columns", *_RULES)
+"""Options of records."""
 
 record_options = _together(
     click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s."),
@@ -288,12 +312,36 @@ def chosen_nuisances(records: xr.Dataset | None, options: dict[str, Any]) -> Nui
 
 def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[xr.Dataset, Scan]:
     """Read files and make records, or read records; say on stderr what was read and dropped."""
-    from bayes_rs.jobs.record_files import open_record_files
-
     scan = chosen_scan(options)
-    if (made := open_record_files(files, scan)) is not None:
+    if (made := given_records(files, scan)) is not None:
         return made, scan
     return records_of(read_series(files, scan, options), scan, options), scan
+
+
+def given_records(files: tuple[Path, ...], scan: Scan) -> xr.Dataset | None:
+    """Read records that were written before; None if the files are something else.
+
+    Raises
+    ------
+    UsageError
+        If the command line has options of reading, or of making records: they would have no effect.
+    """
+    from bayes_rs.jobs.record_files import open_record_files
+
+    made = open_record_files(files, scan)
+    context = click.get_current_context()
+    without_effect = [
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.name in (*_READING, *_MAKING)
+        and context.get_parameter_source(parameter.name) is click.core.ParameterSource.COMMANDLINE
+    ]
+    if made is not None and without_effect:
+        raise click.UsageError(
+            f"{', '.join(without_effect)}: for radial velocities only, and {str(files[0])!r} holds records that were "
+            "made before: leave it out, or give the files of radial velocities."
+        )
+    return made
 
 
 def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) -> xr.Dataset:
@@ -305,26 +353,9 @@ def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) ->
 
 def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
     """Return the reading options by the names of `bayes_rs.read_radial_velocity`."""
-    same = (
-        "file_format",
-        "positive",
-        "velocity_unit",
-        "time_zone",
-        "time_format",
-        "time_stamp",
-        "sample_duration",
-        "separator",
-        "decimal",
-        "status_valid",
-        "angle_tolerance_deg",
-        "range_tolerance",
-        "phase_zero_deg",
-        "phase_turns",
-        "on_bad_file",
-    )
     numbers = _pairs(options["beam_numbers"], "--beam-number")
     return {
-        **{name: options[name] for name in (*same, "out_of_order")},
+        **{name: options[name] for name in _READ_AS_THEY_ARE},
         "columns": _pairs(options["columns"], "--column") or None,
         "beam_numbers": {theirs: _whole(ours) for theirs, ours in numbers.items()} or None,
         "invalid": list(options["invalid"]) or None,
@@ -335,17 +366,20 @@ def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Da
     """Make records as the options say, and say on stderr what was read and dropped."""
     from bayes_rs.records.making import describe_report, make_records
 
+    if options["motion_columns"] and not options["motion"]:
+        raise click.UsageError("--motion-column is only used with --motion: give the file, or leave it out.")
     made = make_records(series, scan, **record_choices(options))
     for line in describe_report(made):
         click.echo(line, err=True)
     if options["motion"]:
         from bayes_rs.wind.motion import read_motion, with_motion
 
+        written = {name: options[name] for name in ("time_zone", "time_format", "separator", "decimal")}
         motion = read_motion(
             list(options["motion"]),
             columns=_pairs(options["motion_columns"], "--motion-column"),
-            **{name: options[name] for name in ("time_zone", "separator", "decimal") if options[name] is not None},
-            invalid=options["invalid"],
+            **{name: value for name, value in written.items() if value is not None},
+            invalid=options["invalid"] or scan.file_format.get("invalid", ()),
         )
         made = with_motion(made, motion, scan)
         without = int((made["motion_count"] == 0).sum())

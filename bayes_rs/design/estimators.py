@@ -165,7 +165,7 @@ def estimate(
 
     References
     ----------
-    .. [1] Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
+    .. [1] Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
     .. [2] Vogt, Jakobsen, Snæbjörnsson, Li, Obhrai and Roemer (2024), Flow observations using nacelle lidars,
        EERA DeepWind Conference, Trondheim (slides).
     .. [3] Burton, Sharpe, Jenkins and Bossanyi (2001), Wind Energy Handbook, Wiley, p. 22.

@@ -37,12 +37,13 @@ def design_matrix(scan: Scan | ArrayLike) -> FloatArray:
     Notes
     -----
     σ² = n·R n = Σᵢ Σⱼ nᵢ nⱼ Rᵢⱼ, the variance of v_r = n·u. The signs of the cross terms come from n itself;
-    Fu, Peña and Mann (2022), Eq. (4), is this formula with n₁ = −cos φ put in.
+    Fu et al. (2022), Eq. (4), is this formula with n₁ = −cos φ put in.
 
     References
     ----------
     Eberhard, Cupp and Healy (1989), J. Atmos. Oceanic Technol. 6, 809–819,
     doi:10.1175/1520-0426(1989)006<0809:DLMOPO>2.0.CO;2.
+    Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
 
     Examples
     --------

@@ -197,7 +197,7 @@ def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float)
 
     References
     ----------
-    Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, Eq. (2).
+    Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, Eq. (2).
     """
     sine = np.sin(opening_angle)
     return np.stack(np.broadcast_arrays(-np.cos(opening_angle), np.cos(phase) * sine, np.sin(phase) * sine), axis=-1)

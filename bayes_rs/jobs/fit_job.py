@@ -21,7 +21,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.jobs.job_options import JobOptions
-from bayes_rs.jobs.job_words import FAILURES, describe, least_seen
+from bayes_rs.jobs.job_words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.output import output_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.readers.compressed import UNREADABLE
@@ -50,6 +50,8 @@ class Outcome:
         One line for each record that was not fitted or whose chain fell short.
     words : list of str
         What the scan sees, which prior it was, and what the data said beyond the prior.
+    flags : list of str
+        One line for each flag that some record has: how many have it, and the first.
     """
 
     result: xr.DataTree
@@ -58,6 +60,7 @@ class Outcome:
     n_fitted: int
     failures: list[str]
     words: list[str]
+    flags: list[str]
 
 
 def run_fit(
@@ -194,7 +197,8 @@ def run_fit(
         f"{_record_name(result, index)}: {flag_words(flags[index])}"
         for index in np.flatnonzero(flags & FAILURES).tolist()
     ]
-    return Outcome(result, table, len(flags), len(fitted), failures, words)
+    told = flag_lines(flags, lambda index: _record_name(result, index))
+    return Outcome(result, table, len(flags), len(fitted), failures, words, told)
 
 
 def versions() -> dict[str, Any]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.priors.registry import Prior
@@ -19,6 +22,28 @@ FAILURES = (
     | FLAGS["likelihood_failed"]
 )
 """Flags that count as a failure of a record; the others are remarks."""
+
+
+def flag_lines(flags: NDArray[np.int64], name: Callable[[int], str]) -> list[str]:
+    """Say how many records have each flag, and which is the first of them.
+
+    Parameters
+    ----------
+    flags : ndarray of int, shape (n_record,)
+        Bit masks, as in `FLAGS`.
+    name : callable
+        What to call a record, by its place in `flags`.
+
+    Returns
+    -------
+    lines : list of str
+        One for each flag that some record has.
+    """
+    return [
+        f"flag {word}: {np.count_nonzero(has)} of {len(flags)} records, first {name(int(np.argmax(has)))}"
+        for word, has in ((word, (flags & bit) != 0) for word, bit in FLAGS.items())
+        if has.any()
+    ]
 
 
 def least_seen(table: pd.DataFrame) -> list[str]:

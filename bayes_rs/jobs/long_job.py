@@ -31,7 +31,7 @@ from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.jobs.fit_job import versions
 from bayes_rs.jobs.job_options import JobOptions
-from bayes_rs.jobs.job_words import FAILURES, describe, least_seen
+from bayes_rs.jobs.job_words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.records.report import describe_report
@@ -61,6 +61,8 @@ class LongOutcome:
         What the scan sees, which prior it was, and what the data said beyond the prior.
     bad_files : dict of str to str
         Files that could not be used, with the reasons.
+    flags : list of str
+        One line for each flag that some record has: how many have it, and the first.
     """
 
     campaign: Campaign
@@ -69,6 +71,7 @@ class LongOutcome:
     failures: list[str]
     words: list[str]
     bad_files: dict[str, str] = field(default_factory=dict)
+    flags: list[str] = field(default_factory=list)
 
 
 def run_long_fit(
@@ -204,7 +207,8 @@ def run_folder_fit(
     scan : Scan
         The scan they were measured with.
     output : str or Path
-        Folder to make, as for `run_long_fit`; its folder ``records`` keeps what was made of the files.
+        Folder to make, with the Parquet datasets of `fit_campaign`, ``records.nc``, ``run.json`` and, up to 20 000
+        records, ``summary.csv``. Its folder ``records`` keeps what was made of the files.
     reading : dict, optional
         Options of `stream_radial_velocity`.
     recording : dict, optional
@@ -383,6 +387,7 @@ def _finish(
         lines + _failures(posterior),
         words,
         bad,
+        flag_lines(posterior["flag_bits"].to_numpy(), lambda index: _record_name(posterior.iloc[index])),
     )
 
 
@@ -390,12 +395,16 @@ def _seconds(names: Sequence[str], clock: Sequence[float]) -> dict[str, float]:
     return {name: round(end - start, 3) for name, start, end in zip(names, clock, clock[1:], strict=False)}
 
 
+def _record_name(row: pd.Series[Any]) -> str:
+    start = "" if pd.isna(row["time"]) else f" ({row['time']:%Y-%m-%dT%H:%M})"
+    return f"record {row['record']}{start}"
+
+
 def _failures(rows: pd.DataFrame) -> list[str]:
     failed = rows[(rows["flag_bits"].to_numpy() & FAILURES) != 0]
     lines = []
-    for row in failed[:_LISTED].itertuples():
-        start = "" if pd.isna(row.time) else f" ({row.time:%Y-%m-%dT%H:%M})"
-        lines.append(f"record {row.record}{start}: {flag_words(row.flag_bits)}")
+    for _, row in failed[:_LISTED].iterrows():
+        lines.append(f"{_record_name(row)}: {flag_words(row['flag_bits'])}")
     if len(failed) > _LISTED:
         lines.append(f"and {len(failed) - _LISTED} more records: see the column flag of the summary")
     return lines

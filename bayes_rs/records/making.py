@@ -39,6 +39,8 @@ REMARK_FLAGS = {"not_stationary": 16, "low_wind": 32}
 _DAY = 86_400_000_000_000  # ns
 _MOST_ENTRIES = 100_000_000
 _DESPIKE = ("despike", "despike_window", "despike_threshold")
+_AHEAD = 0.5
+"""Mean of the beams' components along the axis from which on a scan has a front, so that wind can come from behind."""
 _RARELY = 0.5
 """A beam that is flagged in more than this share of the records with samples is reported as rarely usable."""
 
@@ -197,7 +199,7 @@ def make_records(
             records["flag"].values[rows] |= BEAM_FLAGS["record_excluded"]
     report = {
         **_report_of_samples(came, filtered, int(series.sizes["sample"])),
-        **_report_of_records(records, came.numbers),
+        **_report_of_records(records, came.numbers, scan),
         "blades": blades_in(samples, filtered, rules),
         "samples_needed": float(needed),
         "samples_expected": expected,
@@ -268,12 +270,13 @@ def _report_of_samples(came: SortedSamples, filtered: Filtered, n_sample: int) -
     }
 
 
-def _report_of_records(records: xr.Dataset, numbers: IntArray) -> dict[str, Any]:
+def _report_of_records(records: xr.Dataset, numbers: IntArray, scan: Scan) -> dict[str, Any]:
     flag, start = records["flag"].values, records["time"].values
     never = (records["count"].values == 0).all(axis=0)
     empty = (flag & BEAM_FLAGS["no_samples"] > 0).all(axis=1)
     flagged = (flag[~empty] & ~np.uint8(BEAM_FLAGS["record_excluded"])) != 0
     rarely = (flagged.mean(axis=0) > _RARELY) & ~never
+    looks_ahead = -scan.level_direction[:, 0].mean() > _AHEAD
     return {
         "records": len(flag),
         "records_without_samples": int(empty.sum()),
@@ -281,7 +284,7 @@ def _report_of_records(records: xr.Dataset, numbers: IntArray) -> dict[str, Any]
         "beams_rarely_usable": numbers[rarely].tolist(),
         "beam_flags": _count_flags(flag, BEAM_FLAGS, start, numbers),
         "record_flags": _count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
-        "records_with_wind_from_behind": int((np.abs(records["yaw"].values) > 90.0).sum()),
+        "records_with_wind_from_behind": int(looks_ahead and (np.abs(records["yaw"].values) > 90.0).sum()),
     }
 
 

@@ -10,7 +10,9 @@ import xarray as xr
 
 _MOST_FILES = 20
 """Files up to which each has a line of its own; beyond, those that were read alike share one."""
-_OPTIONS_TOLD = ("format", "positive", "velocity_unit", "time_zone", "time_stamp", "options_of_format")
+_OPTIONS_TOLD = ("format", "positive", "velocity_unit", "time_zone", "time_stamp", "options_of_format", "columns")
+_BY_HEADINGS = "zx"
+"""The format whose columns are found by headings that nobody publishes: the report names them."""
 _ROWS_TOLD = ("rows", "rows_invalid_value", "rows_dropped", "samples_out_of_order")
 _SURE = 1e-3
 """p-value below which dropped samples are reported as periodic."""
@@ -49,6 +51,9 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         line += f", positive {file['positive']}, {file['velocity_unit']}, {file['time_zone']}"
         if file.get("time_stamp"):
             line += f", times at the {file['time_stamp']} of a sample"
+            if file["time_stamp"] != "start" and "time_stamp" in file.get("options_of_format", ()):
+                length = file.get("sample_duration")
+                line += "" if length else ", moved to its start if the file says how long it takes"
         if file.get("options_of_format"):
             line += f" (by the format: {', '.join(file['options_of_format'])})"
         for key, words in (
@@ -57,6 +62,8 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
             line += f"; {file[key]} {words}" if file[key] else ""
+        if file["format"] == _BY_HEADINGS:
+            line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
     skipped = report.get("files_skipped", [])
     lines += [f"skipped {file['name']}: {file['reason']}" for file in skipped[:_MOST_FILES]]
@@ -135,10 +142,16 @@ def _describe_filters(dropped: Mapping[str, int], by_beam: Mapping[str, list[int
             share = [lost / came if came else 0.0 for lost, came in zip(by_beam[name], by_beam["samples"], strict=True)]
             worst = max(range(len(share)), key=share.__getitem__)
             lines.append(
-                f"dropped by {name}: {number} samples ({100.0 * number / total:.2g} %); most of beam "
+                f"dropped by {name}: {number} samples ({_percent(number, total)} %); most of beam "
                 f"{by_beam['beam'][worst]}, {by_beam[name][worst]} of {by_beam['samples'][worst]}"
             )
     return lines
+
+
+def _percent(part: int, whole: int) -> str:
+    """Return a share in %, to two digits and never as a power of ten: 0.0047, 9.7, 100."""
+    share = 100.0 * part / whole
+    return f"{share:.0f}" if share >= 10.0 else f"{share:.2g}" if share >= 1e-4 else "below 0.0001"
 
 
 def _listed(numbers: list[int]) -> str:

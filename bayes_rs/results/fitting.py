@@ -106,14 +106,16 @@ def fit(
     Raises
     ------
     InputError
-        If records and scan do not belong together, or an argument is invalid.
+        If records and scan do not belong together, the noise is for another record length or knows another length
+        scale than the records', or an argument is invalid.
     NoiseMismatchError
-        If the noise was made for another scan or record length.
+        If the noise was made for another scan.
 
     Notes
     -----
-    E[y_b] = n·R n (+ instrument noise), times 1 + bias_b for the ensemble target; the noise of y is log-normal with the
-    noise model's relative covariance. See `LogNormalLikelihood`, `WeakPrior` and `RecordSampler`.
+    E[y_b] = g_b·R (+ instrument noise), where g_b·R = n·R n for points, times 1 + bias_b for the ensemble target. By
+    default the noise of y is log-normal, with the noise model's relative covariance. See `LogNormalLikelihood`,
+    `WeakPrior` and `RecordSampler`.
 
     For the target ``"sonic"``, R of the record is sampled first; the prior, and the contraction against it, are those
     of R. Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
@@ -183,7 +185,7 @@ def prepare(
     InputError
         If they do not belong together.
     NoiseMismatchError
-        If the noise was made for another scan or record length.
+        If the noise was made for another scan.
     """
     scan = _checked_scan(records, scan)
     noise = noise.select(scan.beam)

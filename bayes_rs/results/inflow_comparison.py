@@ -121,7 +121,7 @@ def compare_inflow(
     InputError
         If no gradient is on, the length scale is uncertain, or as in `fit`.
     NoiseMismatchError
-        If the noise was made for another scan or record length.
+        If the noise was made for another scan.
 
     Notes
     -----

@@ -401,7 +401,7 @@ def simulate(
         ``"lines"``: the beams' radial velocities, drawn from their covariances in an infinite domain; see `LineMaker`.
         ``"boxes"``: a virtual lidar in frozen, periodic boxes of Mann turbulence, which needs the extra ``boxes``.
     shear : float
-        Vertical gradient of the mean wind dU/dz, 1/s; 0.0288 in the study of Fu, Peña and Mann (2022).
+        Vertical gradient of the mean wind dU/dz, 1/s; 0.0288 in the study of Fu et al. (2022).
 
     Returns
     -------
@@ -423,7 +423,7 @@ def simulate(
     Notes
     -----
     The mean wind at height z above the lidar is U + z dU/dz along x; the turbulence is frozen and carried everywhere
-    with U, the mean wind at the lidar, as in the study of Fu, Peña and Mann (2022). So shear changes the means of the
+    with U, the mean wind at the lidar, as in the study of Fu et al. (2022). So shear changes the means of the
     beams and no variance. Each beam has as many samples as there are whole scans in `duration`. From window to window
     the series is not continuous. No instrument noise.
 
@@ -435,7 +435,7 @@ def simulate(
 
     References
     ----------
-    Fu, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
+    Fu, Sebastiani, Peña and Mann (2022), J. Phys.: Conf. Ser. 2265, 022016, doi:10.1088/1742-6596/2265/2/022016.
 
     Examples
     --------

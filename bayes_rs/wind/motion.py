@@ -31,6 +31,7 @@ def read_motion(
     *,
     columns: Mapping[str, str],
     time_zone: str = "UTC",
+    time_format: str | None = None,
     separator: str = ",",
     decimal: str = ".",
     invalid: Sequence[float] = (),
@@ -46,6 +47,8 @@ def read_motion(
         ``velocity_y`` and ``velocity_z`` (m/s) that the files have: ``{"time": "Timestamp", "tilt_deg": "Tilt"}``.
     time_zone : str
         Zone of times that carry none.
+    time_format : str, optional
+        How times are written if not in ISO 8601, as for `bayes_rs.read_radial_velocity`.
     separator, decimal : str
         What separates the entries of a text file, and its decimal sign.
     invalid : sequence of float
@@ -82,7 +85,10 @@ def read_motion(
         if name not in names:
             raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(names)}.")
     if "time" not in columns or len(columns) < 2:
-        raise InputError(f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves.")
+        raise InputError(
+            f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves, as in "
+            "{'time': 'Timestamp', 'tilt_deg': 'Tilt'} (--motion-column time=Timestamp --motion-column tilt_deg=Tilt)."
+        )
     file_format = FileFormat(
         columns=dict(columns),
         beam_numbers={},
@@ -93,6 +99,7 @@ def read_motion(
         separator="\t" if separator == "tab" else separator,
         decimal=decimal,
         status_valid=None,
+        time_format=time_format,
         out_of_order="sort",
         required=frozenset(columns),
     )
@@ -391,7 +398,7 @@ def _motion_times(motion: xr.Dataset) -> NDArray[np.int64]:
                 raise InputError(
                     f"Invalid {name} {value:g} of the motion at {when}: "
                     f"it must be from −{largest:g} to {largest:g} degrees; where it marks a missing entry, give it to "
-                    "read_motion as invalid."
+                    "read_motion as invalid (--invalid)."
                 )
     return time
 
