@@ -1,5 +1,7 @@
 """Commands and options for field data: wind, quality rules, motion, gradients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,6 +10,7 @@ from click.testing import CliRunner
 
 import bayes_rs as brs
 from bayes_rs.cli import commands
+from bayes_rs.folder_lock import locked
 
 SCAN = "6-beam"
 ANGLE = ("--scan", SCAN, "--opening-angle", "45", "--focus-distance", "52")
@@ -90,8 +93,57 @@ class TestRecords:
         np.testing.assert_allclose(xr.load_dataset(out)["roll"], 0.5, rtol=1e-12)
         assert "tilt and roll from 1 files; 0 records without" in done.output
 
+    def test_what_marks_a_missing_entry_for_the_scan_does_so_for_the_motion(self, file, tmp_path):
+        """A pulsed nacelle lidar writes tilt and roll beside the velocities, and 9999 for all of them."""
+        scan, motion = tmp_path / "ours.toml", tmp_path / "motion.csv"
+        brs.save_scan(replace(brs.load_scan("6-beam", opening_angle_deg=45.0), file_format={"invalid": [9999.0]}), scan)
+        motion.write_text("Timestamp,Tilt\n2000-01-01T00:00:01,9999\n2000-01-01T00:00:02,1.5\n")
+        columns = ("--motion-column", "time=Timestamp", "--motion-column", "tilt_deg=Tilt")
+        done = run("records", file, "--scan", scan, "--motion", motion, *columns, "-o", tmp_path / "records.nc")
+        assert done.exit_code == 0, done.output
+        assert xr.load_dataset(tmp_path / "records.nc")["tilt"].values[0] == pytest.approx(1.5, rel=1e-12)
+
+    def test_columns_of_no_motion_are_refused(self, file, tmp_path):
+        done = run("records", file, *ANGLE, "--motion-column", "tilt_deg=Tilt", "-o", tmp_path / "records.nc")
+        assert done.exit_code == 2
+        assert "--motion-column is only used with --motion: give the file, or leave it out." in done.output
+
+    @pytest.mark.parametrize("command", ["fit", "wind", "sensitivity", "records"])
+    def test_options_without_effect_on_records_are_refused(self, file, tmp_path, command):
+        """They were applied when the records were made, or never: neither may pass for the other."""
+        made = tmp_path / "made.nc"
+        assert run("records", file, *ANGLE, "-o", made).exit_code == 0
+        some = ("--duration", 600, "--cnr-range", -23, 0, "--positive", "towards", "--motion", "none.csv")
+        done = run(command, made, *ANGLE, *some, "-o", tmp_path / "out")
+        assert done.exit_code == 2
+        assert "--positive, --duration, --cnr-range, --motion: for radial velocities only, and " in done.output
+        assert "made.nc' holds records that were made before: leave it out, or give the files" in done.output
+        assert not (tmp_path / "out").exists()
+
 
 class TestFit:
+    @pytest.mark.parametrize("more", [(), ("--draws", "none")])
+    def test_flags_are_told(self, file, tmp_path, more):
+        """An instrument's noise above the variance leaves almost no stress: not without a word."""
+        options = ("--instrument-noise", 5, "--sampler", "direct", *more)
+        done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
+        assert done.exit_code == 0, done.output
+        assert "3 of 3 records fitted" in done.output
+        assert "flag contradicts_model: 3 of 3 records, first record 0 (2000-01-01T00:00)" in done.output.splitlines()
+
+    def test_a_folder_that_is_being_written_is_not_replaced(self, file, tmp_path):
+        """Nor by a fit of the other kind, which fills a folder of its own and puts it in the place of the old one."""
+        out = tmp_path / "out"
+        assert run("fit", file, *ANGLE, "--sampler", "direct", "--draws", "none", "-o", out).exit_code == 0
+        before = {path: path.stat().st_mtime_ns for path in out.glob("**/*")}
+        with locked(out):
+            done = run("fit", file, *ANGLE, "--sampler", "direct", "-o", out, "--overwrite")
+        assert isinstance(done.exception, brs.InputError)
+        assert f"Output folder {str(out)!r} is being written by another run" in str(done.exception)
+        assert {path: path.stat().st_mtime_ns for path in out.glob("**/*")} == before
+        assert run("fit", file, *ANGLE, "--sampler", "direct", "-o", out, "--overwrite").exit_code == 0
+        assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
     def test_excluded_records_are_no_failures(self, file, tmp_path):
         rules = ("--min-wind-speed", 50, "--exclude", "low_wind")
         done = run("fit", file, *ANGLE, *rules, "--sampler", "direct", "-o", tmp_path / "out")

@@ -266,6 +266,10 @@ class TestStresses:
             ([1.0, 0.5, 0.3], r"Invalid truth of shape \(3,\): the shape must be \(6\)"),
             (np.ones((3, 6)), r"Invalid truth of shape \(3, 6\): the shape must be \(4, 6\)"),
             ([np.nan] * 6, r"Invalid truth: the entry at \(0,\) is nan"),
+            (
+                [1.0, 0.1, -0.3, 0.6, 0.0, 0.4],  # row by row
+                r"Invalid truth: ww of record 0 is -0\.3, and .* in the order uu, vv, ww, uv, uw, vw\.",
+            ),
         ],
     )
     def test_truth_that_is_refused(self, result, truth, message):

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import READERS, read_radial_velocity
+from bayes_rs.readers import READERS, read_radial_velocity, stream_radial_velocity
+from bayes_rs.records.making import make_records
 
 LAST_DIGIT = 4 * np.finfo(float).eps  # decimal text to binary: pandas may be off by a unit in the last place
 SCAN = load_scan("4-beam")
@@ -150,6 +151,13 @@ class TestOptions:
         text = "time;beam;radial_velocity;note\n2020-09-03T19:00:00,250Z;1;-8,5;a,b\n"
         series = read_radial_velocity(write(tmp_path, text), SCAN, separator=";", decimal=",")
         assert series["radial_velocity"].values == [-8.5]
+        assert series["time"].values == np.datetime64("2020-09-03T19:00:00.250")
+
+    @pytest.mark.parametrize("mark", [",", "."])
+    def test_decimal_commas_in_times_of_another_form(self, tmp_path, mark):
+        text = "time;beam;radial_velocity\n03.09.2020 19:00:00,250;1;-8,5\n"
+        form = f"%d.%m.%Y %H:%M:%S{mark}%f"
+        series = read_radial_velocity(write(tmp_path, text), SCAN, separator=";", decimal=",", time_format=form)
         assert series["time"].values == np.datetime64("2020-09-03T19:00:00.250")
 
     def test_tab(self, tmp_path):
@@ -365,6 +373,33 @@ class TestBadInput:
         with pytest.raises(InputError, match="has no column 'snr' for cnr"):
             read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN, columns={"cnr": "snr"})
 
+    @pytest.mark.parametrize("name", ["day.csv", "day.parquet", "day.nc", "wide.csv"])
+    def test_a_status_that_is_not_there(self, tmp_path, name):
+        """Nothing would be filtered, and nobody told."""
+        file = tmp_path / name
+        frame = long_frame(5)[["time", "beam", "radial_velocity"]]
+        if name == "wide.csv":
+            frame = frame.pivot_table(index="time", columns="beam", values="radial_velocity").reset_index()
+        if name == "day.nc":
+            read_radial_velocity(long_csv(tmp_path, *ROWS, name="other.csv"), SCAN).to_netcdf(file, engine="h5netcdf")
+        else:
+            frame.to_parquet(file) if name == "day.parquet" else frame.to_csv(file, index=False)
+        read_radial_velocity(file, SCAN)
+        message = rf"File '{re.escape(str(file))}' has no status, which status_valid=1 is about: say .*status=HEADING"
+        with pytest.raises(InputError, match=message):
+            read_radial_velocity(file, SCAN, status_valid=1)
+        with pytest.raises(InputError, match=message):
+            next(iter(stream_radial_velocity(file, SCAN, period=600.0, status_valid=1)))
+
+    def test_a_table_that_is_to_be_netcdf(self, tmp_path):
+        file = long_csv(tmp_path, *ROWS)
+        message = (
+            f"File {str(file)!r} cannot be read as NetCDF: it has no header of such a file; check that it is complete "
+            "and not damaged."
+        )
+        with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+            read_radial_velocity(file, SCAN, file_format="windcube")
+
     @pytest.mark.parametrize(("separator", "word"), [(";", "';'"), ("\t", "'tab'")])
     def test_wrong_separator(self, tmp_path, separator, word):
         file = write(tmp_path, (HEAD + ROWS[0]).replace(",", separator))
@@ -409,6 +444,12 @@ class TestBadInput:
         xr.Dataset.from_dataframe(long_frame(2).drop(columns="beam").rename_axis("sample")).to_netcdf(tmp_path / "a.nc")
         with pytest.raises(InputError, match=r"has no variable 'beam' for beam: its variables are .*'radial_velocity'"):
             read_radial_velocity(tmp_path / "a.nc", SCAN)
+
+    def test_records_are_no_radial_velocities(self, tmp_path):
+        file = tmp_path / "records.nc"
+        make_records(read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN), SCAN).to_netcdf(file, engine="h5netcdf")
+        with pytest.raises(InputError, match="holds records, not radial velocities: give the files that the records"):
+            read_radial_velocity(file, SCAN)
 
     def test_netcdf_with_other_dimensions(self, tmp_path):
         dataset = xr.Dataset.from_dataframe(long_frame(2).rename_axis("sample"))

@@ -318,6 +318,12 @@ class TestSections:
         start = np.datetime_as_string(read_folder(full).time[4], unit="m").replace("T", " ")
         assert cells[1:] == ["remark", start, "1", "16.7 %"]
 
+    def test_failed_records_without_a_beam_are_told_apart(self, full_page, tmp_path):
+        """A gap in a long campaign is no failure of the fit."""
+        assert "<dt>Failed</dt><dd>1 (1 without a usable beam)</dd>" in full_page
+        whole = page_of(result_folder(tmp_path / "none", flagged=True))
+        assert "<dt>Failed</dt><dd>6 (6 without a usable beam)</dd>" in whole
+
     def test_every_flag_has_a_meaning(self):
         assert set(FLAG_MEANINGS) >= set(FLAGS)
 

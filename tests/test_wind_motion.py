@@ -240,7 +240,7 @@ class TestReadMotion:
         ("columns", "message"),
         [
             ({"time": "t", "pitch": "p"}, r"Unknown name 'pitch' in columns: it must be one of time, tilt_deg"),
-            ({"tilt_deg": "p"}, r"give the heading of the time, and of what moves"),
+            ({"tilt_deg": "p"}, r"give the heading of the time, and of what moves, .*--motion-column tilt_deg=Tilt"),
             ({"time": "t", "tilt_deg": "p"}, r"has no column 'p' for tilt_deg"),
         ],
     )
@@ -249,6 +249,15 @@ class TestReadMotion:
         file.write_text("t,roll\n2020-09-03 19:00:01,0.5\n")
         with pytest.raises(InputError, match=message):
             read_motion(file, columns=columns)
+
+    def test_times_of_another_form(self, tmp_path):
+        file = tmp_path / "a.csv"
+        file.write_text("t;p\n03.09.2020 19:00:01,5;0,25\n")
+        columns = {"time": "t", "tilt_deg": "p"}
+        form = "%d.%m.%Y %H:%M:%S,%f"
+        motion = read_motion(file, columns=columns, separator=";", decimal=",", time_format=form)
+        assert motion["time"].values == np.datetime64("2020-09-03T19:00:01.5")
+        assert motion["tilt_deg"].values == 0.25
 
     def test_refuses_a_file_that_is_not_there(self, tmp_path):
         with pytest.raises(InputError, match=r"No file .*: check the path of the motion\."):

@@ -247,13 +247,13 @@ def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **opti
     records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
     own = records["record_flag"].values & ~np.uint8(_OF_WIND)
     records["record_flag"].values[:] = own | of_wind
-    report = _report(blocks, records, state)
+    report = _report(blocks, records, state, scan)
     absent = [number for number in scan.beam.tolist() if number not in beams]
     files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
     return records.assign_attrs({**files, "beams_absent": json.dumps(absent), "records_report": json.dumps(report)})
 
 
-def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState) -> dict[str, Any]:
+def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState, scan: Scan) -> dict[str, Any]:
     """Add up the reports of the blocks; what depends on the whole is counted again."""
     reports = [json.loads(block.attrs["records_report"]) for block in blocks]
     beams = records["beam"].values
@@ -265,7 +265,7 @@ def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState) -
         "samples_out_of_order": state.out_of_order,
         "dropped": {name: sum(report["dropped"][name] for report in reports) for name in reports[0]["dropped"]},
         "by_beam": _by_beam([report["by_beam"] for report in reports], beams.tolist()),
-        **_report_of_records(records, beams),
+        **_report_of_records(records, beams, scan),
         "blades": [],
         **more,
     }

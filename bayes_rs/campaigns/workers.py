@@ -185,8 +185,8 @@ def run_dask(
     while waiting:
         running: dict[Any, int] = {}
         queue = distributed.as_completed(loop=client.loop)
-        everywhere = _scatter(client, shared)
         try:
+            everywhere = _scatter(client, shared, deaths)
             while waiting or running:
                 ahead = _AHEAD * max(sum(client.nthreads().values()), 1)  # a cluster may grow
                 while waiting and len(running) < ahead:
@@ -199,7 +199,7 @@ def run_dask(
                 future.release()
                 deaths = 0
                 yield done
-        except (distributed.KilledWorker, distributed.CancelledError) as error:
+        except (distributed.KilledWorker, distributed.CancelledError, _LostError) as error:
             waiting += sorted(running.values(), reverse=True)
             deaths += 1
             # cancelled: no worker is left that holds what was shared; killed: the cluster has tried again by itself
@@ -211,14 +211,24 @@ def run_dask(
             client.cancel(list(running))
 
 
-def _scatter(client: Any, shared: Any) -> Any:
+class _LostError(Exception):
+    """Workers went away while they were sent what all parts need."""
+
+
+def _scatter(client: Any, shared: Any, deaths: int) -> Any:
     try:
         (everywhere,) = client.scatter([shared], broadcast=True, hash=False)
     except TimeoutError as error:
+        if deaths:
+            raise WorkerError(
+                f"The Dask workers died again and again, perhaps for want of memory, and none is left; {_RESUME}"
+            ) from error
         raise WorkerError(
             f"The Dask cluster has no worker ({client!r}): start some, and wait for them with "
             "client.wait_for_workers(1)."
         ) from error
+    except (OSError, ValueError) as error:  # a stream that is closed, copies for workers that are gone
+        raise _LostError(str(error)) from error
     return everywhere
 
 

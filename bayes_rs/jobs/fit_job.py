@@ -6,6 +6,7 @@ import json
 import platform
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +19,7 @@ import xarray as xr
 from bayes_rs._version import __version__
 from bayes_rs.campaigns.campaign_plan import CampaignOptions
 from bayes_rs.errors import InputError
+from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.jobs.job_options import JobOptions
@@ -125,7 +127,7 @@ def run_fit(
     Raises
     ------
     InputError
-        If the folder may not be written, or input does not belong together.
+        If the folder may not be written, another run is writing it, or input does not belong together.
     """
     from bayes_rs.results.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
 
@@ -146,7 +148,9 @@ def run_fit(
             derived=derived,
         ),
     )
-    with output_folder(output, overwrite=overwrite) as folder:
+    # what is replaced may be the folder of a long fit that still runs
+    alone = locked(output) if overwrite and Path(output).exists() else nullcontext()
+    with alone, output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
         noise, records = asked.noise_and_records(records, scan, asked.given_noise(), say)
         clock.append(time.perf_counter())

@@ -26,7 +26,7 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     if file.suffix not in (".nc", ".nc4") or not file.is_file():
         return None
     try:
-        check_netcdf(file)
+        check_netcdf(file, guarded=True)
         dataset = xr.load_dataset(file, engine="h5netcdf")
     except UNREADABLE:
         return None  # the reader of radial velocities says what is wrong with it
@@ -36,7 +36,7 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     if key != scan.key:
         raise InputError(
             f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
-            f"{scan.name!r}: name that scan, with the same options."
+            f"{scan.name!r}: name that scan, with the same options, or make the records anew with this one."
         )
     return dataset
 

@@ -65,6 +65,8 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     if file_format.time_format in _EPOCHS:
         return _counted(is_number, known, column, file_format.time_format), is_invalid
     pattern = file_format.time_format or "ISO8601"
+    if file_format.decimal == ",":  # as in the entries, which have points by now
+        pattern = pattern.replace(",", ".")
     parsed = pd.to_datetime(text.where(known), format=pattern, utc=True, errors="coerce")
     in_range = (parsed > pd.Timestamp.min.tz_localize("UTC")) & (parsed < pd.Timestamp.max.tz_localize("UTC"))
     bad = known & ~in_range.to_numpy(dtype=bool)
@@ -75,8 +77,8 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
         rule = "in ISO 8601, such as 2020-09-03T19:00:01.5 or 2020-09-03 20:00:01+01:00"
         raise InputError(
             f"Invalid time {_shown(raw.iloc[index])} in {column.where(index)}: it must be a date and time "
-            f"{rule if file_format.time_format is None else f'of the form {pattern!r}'}; correct the entry"
-            f"{', or give its time_format.' if file_format.time_format is None else '.'}"
+            f"{rule if file_format.time_format is None else f'of the form {file_format.time_format!r}'}; correct the "
+            f"entry{', or give its time_format.' if file_format.time_format is None else '.'}"
         )
     naive = parsed.dt.tz_localize(None)
     with_offset = text.str.contains(_WITH_OFFSET, regex=True, na=False).to_numpy(dtype=bool)

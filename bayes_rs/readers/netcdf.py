@@ -20,6 +20,8 @@ from bayes_rs.readers.format import VELOCITY_UNITS, FileFormat
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
 
+RECORD_DIMS = ("record", "beam")
+"""Dimensions of the variances in a file of records, which is no file of radial velocities."""
 SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
 _UNITS = {**{unit: unit for unit in VELOCITY_UNITS}, "m s-1": "m/s", "m s^-1": "m/s", "km h-1": "km/h", "knots": "knot"}
 
@@ -108,6 +110,10 @@ def _as_text(value: object) -> str:
 
 
 def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:
+    if "radial_velocity" not in file_format.required and dataset.get("variance", xr.DataArray()).dims == RECORD_DIMS:
+        raise InputError(
+            f"File {str(file)!r} holds records, not radial velocities: give the files that the records were made of."
+        )
     found = {}
     for name in ("radial_velocity", "time", "beam", "cnr", "status"):
         own = file_format.column(name)

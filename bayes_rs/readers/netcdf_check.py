@@ -6,19 +6,14 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
-
 from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
-
-MOST_BYTES = 1024**3
-MOST_RATIO = 2000
-"""What a variable may announce, beyond all compression by deflate (1032 to 1)."""
+from bayes_rs.readers.netcdf_guard import ask
+from bayes_rs.readers.netcdf_walk import find_fault
 
 _TYPE_SIZE = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
 _DIMENSION, _VARIABLE, _ATTRIBUTE = 10, 11, 12
 _MOST_HEADER = 64 * 1024**2
-_MOST_DEPTH = 8
 
 
 @dataclass
@@ -73,57 +68,40 @@ class _DamagedError(Exception):
     """What is wrong with a header."""
 
 
-def check_netcdf(file: Path) -> None:
+def check_netcdf(file: Path, *, guarded: bool = False) -> None:
     """Refuse a file that would keep a library busy for ever, or fill the memory; others are not looked at.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    guarded : bool
+        Have another process read a NetCDF-4 file first, which may hang or die: for files that a user gives.
 
     Raises
     ------
     InputError
         If the header of a classic NetCDF file is damaged, or a variable of a NetCDF-4 file announces more than
-        `MOST_BYTES` and more than `MOST_RATIO` times the file's length, stands in another file, or its groups hold
-        each other: searching them, the library can die and take the process with it.
+        `netcdf_walk.MOST_BYTES` and more than `netcdf_walk.MOST_RATIO` times the file's length, stands in another
+        file, or its groups hold each other: searching them, the library can die and take the process with it. If
+        `guarded`, also if the library hangs or dies in that other process.
     """
     with file.open("rb") as opened:
         magic = opened.read(8)
     if magic[:3] == b"CDF":
         check_classic_header(file)
     elif magic == b"\x89HDF\r\n\x1a\n":
-        _check_sizes(file)
+        fault = _find_fault(file, guarded=guarded)
+        if fault:
+            raise InputError(f"File {str(file)!r} cannot be read as NetCDF: {fault}")
 
 
-def _check_sizes(file: Path) -> None:
+def _find_fault(file: Path, *, guarded: bool) -> str:
     try:
-        with h5py.File(file, "r") as opened:
-            _check_group(opened, file, max(MOST_BYTES, MOST_RATIO * file.stat().st_size), ())
-    except InputError:
-        raise
+        answer = ask(file) if guarded else None
+        return find_fault(str(file), deep=False) if answer is None else answer
     except UNREADABLE as error:
         raise unreadable(file, error, as_what=" as NetCDF") from error
-
-
-def _check_group(group: h5py.Group, file: Path, most: int, above: tuple[int, ...]) -> None:
-    """Check what a group holds, and the groups in it; `above` are the addresses of those that it is in."""
-    address = h5py.h5o.get_info(group.id).addr
-    if address in above or len(above) == _MOST_DEPTH:
-        raise InputError(
-            f"File {str(file)!r} cannot be read as NetCDF: its groups hold each other, or are more than {_MOST_DEPTH} "
-            "deep; check that it is complete and not damaged."
-        )
-    for name in group:
-        link = group.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink):
-            raise InputError(
-                f"File {str(file)!r} cannot be read as NetCDF: its {name!r} stands in another file, "
-                f"{link.filename!r}; copy it into one file."
-            )
-        item = None if isinstance(link, h5py.SoftLink) else group[name]
-        if isinstance(item, h5py.Group):
-            _check_group(item, file, most, (*above, address))
-        elif isinstance(item, h5py.Dataset) and item.size and item.size * item.dtype.itemsize > most:
-            raise InputError(
-                f"File {str(file)!r} cannot be read as NetCDF: its variable {item.name.removeprefix('/')!r} announces "
-                f"{item.size * item.dtype.itemsize} bytes; check that it is complete and not damaged."
-            )
 
 
 def check_classic_header(file: Path) -> None:

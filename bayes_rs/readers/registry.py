@@ -144,7 +144,7 @@ def read_file(file: Path, scan: Scan, kind: str, options: Mapping[str, Any]) -> 
     """
     with _plain(file, kind) as (plain, named):
         reader, file_format = _reader_of(plain, scan, kind, options)
-        return named(reader.read(plain, scan, file_format))
+        return named(_with_status(reader.read(plain, scan, file_format), options))
 
 
 def read_pieces(file: Path, scan: Scan, kind: str, options: Mapping[str, Any], n_row: int) -> Iterator[Samples]:
@@ -152,10 +152,21 @@ def read_pieces(file: Path, scan: Scan, kind: str, options: Mapping[str, Any], n
     with _plain(file, kind) as (plain, named):
         reader, file_format = _reader_of(plain, scan, kind, options)
         if reader.pieces is None:
-            yield named(reader.read(plain, scan, file_format))
+            yield named(_with_status(reader.read(plain, scan, file_format), options))
         else:
             for part in reader.pieces(plain, scan, file_format, n_row):
-                yield named(part)
+                yield named(_with_status(part, options))
+
+
+def _with_status(samples: Samples, options: Mapping[str, Any]) -> Samples:
+    """Return the samples; refuse those without a status if the caller says which status is good."""
+    valid = options.get("status_valid")
+    if valid is not None and samples.status is None:
+        raise InputError(
+            f"File {str(samples.file)!r} has no status, which status_valid={valid!r} is about: say what the file calls "
+            "it with columns={'status': 'its heading'} (--column status=HEADING), or leave status_valid out."
+        )
+    return samples
 
 
 @contextmanager
@@ -170,7 +181,7 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
     with plain_file(file) as plain:
         try:
             if plain_suffix(plain) in NETCDF_SUFFIXES:
-                check_netcdf(plain)
+                check_netcdf(plain, guarded=True)
             yield plain, lambda samples: replace(samples, file=file)
         except InputError as error:
             if plain == file:
@@ -200,5 +211,5 @@ def _find(file: Path, scan: Scan, options: Mapping[str, Any]) -> Reader:
         f"File {str(file)!r} is neither a long table (columns {file_format.column('time')!r}, "
         f"{file_format.column('beam')!r}, {file_format.column('radial_velocity')!r}) nor a wide one (a column "
         f"per beam, headed by its number or vr_<number>): {table.found()}; "
-        "map names with the options columns and beam_numbers."
+        "map names with the options columns and beam_numbers (--column OURS=THEIRS, --beam-number THEIRS=OURS)."
     )

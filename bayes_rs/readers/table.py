@@ -98,7 +98,7 @@ class Table:
         listed = f"its columns are {', '.join(repr(heading[:60]) for heading in self.headings)}"
         for separator, word in ((";", "';'"), ("\t", "'tab'"), (",", "','")):
             if self.is_csv and len(self.headings) == 1 and separator in self.headings[0]:
-                return f"{listed} (is it separated by {word}? then give separator={word})"
+                return f"{listed} (is it separated by {word}? then give separator={word}, --separator)"
         return listed
 
     def _csv_frames(self, text: Sequence[str], n_row: int | None) -> Iterator[pd.DataFrame]:

@@ -86,7 +86,7 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
         raise InputError(
             f"File {str(file)!r} has no column for a beam: {table.found()}; a wide table heads each beam's column with "
             "its number, vr_<number> or beam_<number>; otherwise say which column is which with the option "
-            "beam_numbers={'heading in the file': number}."
+            "beam_numbers={'heading in the file': number} (--beam-number HEADING=NUMBER)."
         )
     wanted = [file_format.column("time"), *(heading for part in found.values() for heading in part.values())]
     for frame, before in table.pieces(list(dict.fromkeys(wanted)), text=[file_format.column("time")], n_row=n_row):

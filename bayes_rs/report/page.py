@@ -150,10 +150,11 @@ def _key_numbers(found: FitFolder, scan: str) -> str:
     fitted = int(found.fitted.sum())
     failed = int(np.count_nonzero(found.flag & FAILURES))
     remarked = int(np.count_nonzero(found.flag)) - failed
+    without = int(np.count_nonzero(found.flag & FLAGS["no_usable_beam"]))  # gaps are most of them in a long campaign
     entries = [
         ("Records", f"{len(found.record)}"),
         ("Fitted", f"{fitted}"),
-        ("Failed", f"{failed}"),
+        ("Failed", f"{failed} ({without} without a usable beam)" if without else f"{failed}"),
         ("Other flags", f"{remarked}"),
         ("Scan", scan),
     ]

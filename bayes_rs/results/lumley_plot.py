@@ -89,11 +89,11 @@ def _draw_records(axis: Axes, stress: FloatArray) -> None:
     """Draw medians and bars of records, stresses (n_record, n_draw, 6)."""
     levels = [np.quantile(part, (0.16, 0.5, 0.84), axis=1) for part in lumley_coordinates(stress)]
     (left, x, right), (low, y, high) = levels
-    axis.errorbar(
+    axis.errorbar(  # lists: matplotlib 3.10 takes the array of one record for a number
         x,
         y,
-        xerr=[x - left, right - x],
-        yerr=[y - low, high - y],
+        xerr=[(x - left).tolist(), (right - x).tolist()],
+        yerr=[(y - low).tolist(), (high - y).tolist()],
         fmt="o",
         color=POINT_COLOUR,
         markersize=3,

@@ -156,12 +156,21 @@ def known_stresses(truth: ArrayLike, n_record: int) -> FloatArray:
     Raises
     ------
     InputError
-        If the shape is neither, or an entry is not finite.
+        If the shape is neither, an entry is not finite, or a variance is below zero.
     """
     given = np.asarray(truth, dtype=np.float64)
     if given.ndim == 1:
-        return np.broadcast_to(check_array(given, (6,), what="truth"), (n_record, 6))
-    return check_array(given, (n_record, 6), what="truth")
+        known = np.broadcast_to(check_array(given, (6,), what="truth"), (n_record, 6))
+    else:
+        known = check_array(given, (n_record, 6), what="truth")
+    negative = np.argwhere(known[:, :3] < 0.0)
+    if len(negative):
+        record, index = negative[0].tolist()
+        raise InputError(
+            f"Invalid truth: {STRESSES[index]} of record {record} is {known[record, index]:g}, and a variance is not "
+            f"below zero; give the stresses in the order {', '.join(STRESSES)}."
+        )
+    return known
 
 
 def prior_at_size(result: xr.DataTree, record: int | str) -> FloatArray:

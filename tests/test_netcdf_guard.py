@@ -1,0 +1,383 @@
+"""NetCDF-4 files on which the HDF5 library hangs or dies: refused in one line, by a process that can be killed."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from folder_scene import N_RECORD, make_series, run, write_file, write_noise
+from format_files import compress, series_of
+from ray_files import six_beam
+
+from bayes_rs.errors import InputError
+from bayes_rs.jobs.record_files import open_records
+from bayes_rs.readers import netcdf_guard, read_radial_velocity
+from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_walk import find_fault
+
+SIX = six_beam(45.0, step=1.0)
+SHORT = series_of(SIX, n_scan=8)
+READERS = Path(netcdf_guard.__file__).parent
+MISCHIEF = f"""
+import os, signal, sys, time
+sys.path.append({str(READERS)!r})
+import netcdf_walk
+
+real = netcdf_walk.find_fault
+
+def find_fault(file, *, deep):
+    name = os.path.basename(file)
+    if name.startswith("hangs"):
+        time.sleep(60.0)
+    if name.startswith("dies"):
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return real(file, deep=deep)
+
+netcdf_walk.find_fault = find_fault
+netcdf_walk.main()
+"""
+NO_END = "the HDF5 library has no end with it, after 2 s; check that it is complete and not damaged"
+
+
+def write(file: Path, series: xr.Dataset = SHORT) -> Path:
+    series.to_netcdf(file, engine="h5netcdf")
+    return file
+
+
+def plant_endless_heap(file: Path) -> Path:
+    """Say that the free space at the end of the heap of references has no length: the library adds it up for ever."""
+    raw = bytearray(file.read_bytes())
+    at = raw.index(b"GCOL") + 16  # HDF5 File Format Specification, III.E, Global Heap: objects follow its header
+    while int.from_bytes(raw[at : at + 2], "little"):  # the free space is object 0
+        at += 16 + -(-int.from_bytes(raw[at + 8 : at + 16], "little") // 8) * 8
+    assert int.from_bytes(raw[at + 8 : at + 16], "little") > 16
+    raw[at + 8 : at + 16] = bytes(8)
+    file.write_bytes(raw)
+    return file
+
+
+@pytest.fixture
+def guard(monkeypatch):
+    """A guard of its own, with a short limit."""
+    own = netcdf_guard._Guard()
+    monkeypatch.setattr(netcdf_guard, "_guard", own)
+    monkeypatch.setattr(netcdf_guard, "SECONDS", 2.0)
+    yield own
+    own.end()
+
+
+@pytest.fixture
+def mischief(guard, monkeypatch, tmp_path_factory):
+    """Its process hangs or dies on files with certain names."""
+    script = tmp_path_factory.mktemp("script") / "walk.py"
+    script.write_text(MISCHIEF)
+    monkeypatch.setattr(netcdf_guard, "_SCRIPT", script)
+    return guard
+
+
+def is_gone(pid: int, *, seconds: float = 10.0) -> bool:
+    """Whether a process ends soon; one that nobody waited for counts as gone only where it is not ours."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0]
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        if state == "Z" and f"\nPPid:\t{os.getpid()}\n" not in Path(f"/proc/{pid}/status").read_text():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+class TestDamagedFiles:
+    @pytest.mark.usefixtures("guard")
+    def test_an_endless_heap_is_refused_in_time(self, tmp_path):
+        file = plant_endless_heap(write(tmp_path / "a.nc"))
+        start = time.monotonic()
+        with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete") as info:
+            read_radial_velocity(file, SIX)
+        assert time.monotonic() - start < 20.0
+        assert "\n" not in str(info.value)
+
+    def test_one_that_hangs(self, mischief, tmp_path):
+        file = write(tmp_path / "hangs.nc")
+        with pytest.raises(InputError) as info:
+            read_radial_velocity(file, SIX)
+        assert str(info.value) == f"File {str(file)!r} cannot be read as NetCDF: {NO_END}."
+        assert mischief.process is None
+
+    @pytest.mark.usefixtures("mischief")
+    def test_one_that_hangs_is_not_tried_again(self, tmp_path):
+        file = write(tmp_path / "hangs.nc")
+        for limit in (2.0, 1000.0):
+            netcdf_guard.SECONDS = limit
+            with pytest.raises(InputError, match=NO_END):
+                check_netcdf(file, guarded=True)
+
+    @pytest.mark.usefixtures("mischief")
+    def test_one_that_kills(self, tmp_path):
+        file = write(tmp_path / "dies.nc")
+        with pytest.raises(InputError) as info:
+            read_radial_velocity(file, SIX)
+        assert str(info.value) == (
+            f"File {str(file)!r} cannot be read as NetCDF: the HDF5 library crashes on it; "
+            "check that it is complete and not damaged."
+        )
+
+    @pytest.mark.usefixtures("mischief")
+    def test_records(self, tmp_path):
+        """The reader of radial velocities, which comes next, says what is wrong."""
+        assert open_records(write(tmp_path / "hangs.nc"), SIX) is None
+        assert open_records(write(tmp_path / "dies.nc"), SIX) is None
+
+    @pytest.mark.usefixtures("mischief")
+    def test_a_compressed_file_is_named_as_the_user_knows_it(self, tmp_path):
+        file = compress(write(tmp_path / "hangs.nc"), ".gz")
+        with pytest.raises(InputError) as info:
+            read_radial_velocity(file, SIX)
+        assert str(info.value) == f"File {str(file)!r} cannot be read as NetCDF: {NO_END}."
+
+    @pytest.mark.usefixtures("mischief")
+    def test_others_go_on(self, tmp_path):
+        half = SHORT.sizes["sample"] // 2
+        write(tmp_path / "a.nc", SHORT.isel(sample=slice(half)))
+        write(tmp_path / "dies.nc")
+        write(tmp_path / "hangs.nc")
+        write(tmp_path / "z.nc", SHORT.isel(sample=slice(half, None)))
+        series = read_radial_velocity(tmp_path, SIX, on_bad_file="skip")
+        np.testing.assert_array_equal(series["radial_velocity"], SHORT["radial_velocity"])
+        skipped = json.loads(series.attrs["read_report"])["files_skipped"]
+        assert [entry["name"] for entry in skipped] == ["dies.nc", "hangs.nc"]
+
+    @pytest.mark.usefixtures("mischief")
+    @pytest.mark.slow
+    def test_a_fit_of_a_folder_goes_on(self, tmp_path):
+        folder = tmp_path / "year"
+        folder.mkdir()
+        write_noise(tmp_path / "noise.nc")
+        series = make_series()
+        write_file(folder / "a.csv", series)
+        for name in ("dies.nc", "hangs.nc"):
+            series.to_netcdf(folder / name, engine="h5netcdf")
+        plant_endless_heap(write(folder / "b.nc"))
+        outcome = run(folder, tmp_path / "out", tmp_path / "noise.nc")
+        assert sorted(Path(name).name for name in outcome.bad_files) == ["b.nc", "dies.nc", "hangs.nc"]
+        assert NO_END in outcome.bad_files[str(folder / "hangs.nc")]
+        assert outcome.n_record == N_RECORD
+
+    def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
+        """The library can take gigabytes before it says so: the next file has a new process."""
+        good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
+        check_netcdf(good, guarded=True)
+        first = guard.process.pid
+        file.write_bytes(file.read_bytes().replace(b"GCOL", b"GCOK"))
+        with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete"):
+            check_netcdf(file, guarded=True)
+        check_netcdf(good, guarded=True)
+        assert guard.process.pid != first
+
+    def test_a_wrong_checksum_costs_no_new_process(self, guard, tmp_path):
+        good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
+        check_netcdf(good, guarded=True)
+        first = guard.process.pid
+        raw = bytearray(file.read_bytes())
+        raw[raw.find(b"radial_velocity") + 3] ^= 1
+        file.write_bytes(raw)
+        with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*checksum.*; check that it"):
+            check_netcdf(file, guarded=True)
+        check_netcdf(good, guarded=True)
+        assert guard.process.pid == first
+
+    @pytest.mark.usefixtures("guard")
+    @pytest.mark.parametrize("guarded", [True, False])
+    def test_the_words_are_the_same_without_it(self, tmp_path, guarded):
+        file = write(tmp_path / "a.nc")
+        file.write_bytes(file.read_bytes()[:-100])
+        with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: Unable to .*truncated file.*; check"):
+            check_netcdf(file, guarded=guarded)
+
+
+class TestGoodFiles:
+    def test_many_use_one_process(self, guard, tmp_path):
+        used = set()
+        for number in range(5):
+            read_radial_velocity(write(tmp_path / f"{number}.nc"), SIX)
+            used.add(guard.process.pid)
+        assert len(used) == 1
+
+    @pytest.mark.parametrize("name", ["two\nlines.nc", "Göttingen 風.nc", os.fsdecode(b"\xff\xfe.nc"), ' "\\.nc'])
+    def test_any_name(self, guard, tmp_path, name):
+        file = write(tmp_path / "a.nc").rename(tmp_path / name)
+        check_netcdf(file, guarded=True)
+        assert guard.process is not None
+
+    @pytest.mark.usefixtures("guard")
+    def test_a_relative_name_after_a_change_of_folder(self, tmp_path, monkeypatch):
+        write(tmp_path / "a.nc")
+        check_netcdf(tmp_path / "a.nc", guarded=True)
+        monkeypatch.chdir(tmp_path)
+        check_netcdf(Path("a.nc"), guarded=True)
+
+    @pytest.mark.usefixtures("guard")
+    def test_whatever_hdf5_can_hold(self, tmp_path):
+        file = tmp_path / "a.nc"
+        with h5py.File(file, "w") as opened:
+            words = opened.create_dataset("words", data=["a", "b"] * 6000, dtype=h5py.string_dtype(), chunks=(500,))
+            opened.create_dataset("word", data="a", dtype=h5py.string_dtype())
+            opened.create_dataset("none", data=h5py.Empty("f8"))
+            opened.create_dataset("no rows", shape=(0, 3), maxshape=(None, 3), chunks=(5, 3), dtype=h5py.string_dtype())
+            opened.create_dataset("unwritten", shape=(100, 100), dtype="f4", chunks=(10, 10), compression="gzip")
+            ragged = opened.create_dataset("ragged", shape=(2, 2), dtype=h5py.vlen_dtype(np.float64))
+            ragged[0, 0] = np.arange(3.0)
+            opened["type"] = np.dtype("f4")
+            opened["soft"], opened["dangling"] = h5py.SoftLink("/words"), h5py.SoftLink("/nowhere")
+            opened["again"] = opened["words"]
+            opened.create_dataset("gone", data=1.0)
+            opened["group/inner"] = 2.0
+            words.attrs["all"] = np.array([opened["gone"].ref, h5py.Reference(), words.ref], dtype=h5py.ref_dtype)
+            words.attrs["region"] = words.regionref[:3]
+            words.attrs["empty"] = h5py.Empty("S1")
+            words.attrs["latin"] = np.bytes_(b"\xe9")
+            del opened["gone"]
+        check_netcdf(file, guarded=True)
+        assert find_fault(str(file), deep=True) == ""
+
+    @pytest.mark.usefixtures("guard")
+    def test_threads(self, tmp_path):
+        files = [write(tmp_path / f"{number}.nc") for number in range(4)]
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda file: check_netcdf(file, guarded=True), files * 10))
+
+    def test_a_process_that_was_killed_in_between(self, guard, tmp_path):
+        """It is not the next file's fault, whether that is noticed before the request or after."""
+        file = write(tmp_path / "a.nc")
+        check_netcdf(file, guarded=True)
+        os.kill(guard.process.pid, signal.SIGKILL)
+        check_netcdf(file, guarded=True)
+        killed = guard.process
+        os.kill(killed.pid, signal.SIGKILL)
+        killed.wait()
+        check_netcdf(file, guarded=True)
+        assert guard.process.pid != killed.pid
+
+    def test_an_interrupt(self, mischief, tmp_path):
+        """What was asked before it is not taken for the next answer."""
+        file, this = write(tmp_path / "hangs.nc"), threading.get_ident()
+        threading.Timer(1.0, lambda: signal.pthread_kill(this, signal.SIGINT)).start()
+        netcdf_guard.SECONDS = 30.0
+        with pytest.raises(KeyboardInterrupt):
+            check_netcdf(file, guarded=True)
+        assert mischief.process is None
+        check_netcdf(write(tmp_path / "a.nc"), guarded=True)
+
+
+class TestWithoutAProcess:
+    @pytest.mark.parametrize("python", ["", "/nowhere/python", "/bin/false", None])
+    def test_files_are_read_and_a_warning_is_logged_once(self, guard, tmp_path, monkeypatch, caplog, python):
+        monkeypatch.setattr(sys, "executable", python)
+        file = write(tmp_path / "a.nc")
+        with caplog.at_level(logging.WARNING):
+            for _ in range(3):
+                assert read_radial_velocity(file, SIX).sizes == SHORT.sizes
+        assert len(caplog.messages) == 1
+        assert "without a process that protects from damaged ones" in caplog.messages[0]
+        assert guard.process is None
+
+    def test_own_files_need_none(self, guard, tmp_path):
+        check_netcdf(write(tmp_path / "a.nc"))
+        assert guard.process is None
+
+
+ASK = (
+    "import sys\n"
+    "from pathlib import Path\n"
+    "from bayes_rs.readers import netcdf_guard\n"
+    "from bayes_rs.readers.netcdf_check import check_netcdf\n"
+    "assert netcdf_guard._guard.process is None\n"
+    "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+    "print(netcdf_guard._guard.process.pid, flush=True)\n"
+)
+
+
+def ask(script: str, file: Path) -> tuple[subprocess.Popen, int]:
+    """Start a process that checks a file; return it, and the number of the process that it started."""
+    process = subprocess.Popen(  # noqa: S603 - our own script
+        [sys.executable, "-X", "dev", "-W", "error::ResourceWarning", "-c", script, str(file)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    return process, int(process.stdout.readline())
+
+
+class TestItsEnd:
+    def test_with_the_process_that_asks(self, tmp_path):
+        process, pid = ask(ASK, write(tmp_path / "a.nc"))
+        said, complaints = process.communicate()
+        assert (process.returncode, said, complaints) == (0, b"", b"")
+        assert is_gone(pid)
+
+    def test_where_that_is_killed(self, tmp_path):
+        process, pid = ask(ASK + "sys.stdin.read()\n", write(tmp_path / "a.nc"))
+        assert not is_gone(pid, seconds=0.3)
+        process.kill()
+        process.communicate()
+        assert is_gone(pid)
+
+    def test_where_that_is_killed_while_the_library_hangs(self, tmp_path):
+        write(tmp_path / "hangs.nc")
+        script = tmp_path / "walk.py"
+        script.write_text(MISCHIEF)
+        hang = (
+            f"netcdf_guard._guard.end()\nnetcdf_guard._SCRIPT = {str(script)!r}\nnetcdf_guard.SECONDS = 1.5\n"
+            "import threading\n"
+            "threading.Thread(target=lambda: netcdf_guard.ask(Path(sys.argv[1]).with_name('hangs.nc'))).start()\n"
+            "while not (netcdf_guard._guard.process and netcdf_guard._guard.process.pid): pass\n"
+            "import time; time.sleep(1.0)\n"
+            "print(netcdf_guard._guard.process.pid, flush=True)\n"
+            "sys.stdin.read()\n"
+        )
+        process, _ = ask(ASK + hang, write(tmp_path / "a.nc"))
+        pid = int(process.stdout.readline())
+        process.kill()
+        process.communicate()
+        assert is_gone(pid)
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+    def test_a_fork_has_its_own(self, tmp_path):
+        fork = (
+            "import os, warnings\n"
+            "warnings.simplefilter('ignore', DeprecationWarning)\n"
+            "first = netcdf_guard._guard.process.pid\n"
+            "child = os.fork()\n"
+            "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+            "same = netcdf_guard._guard.process.pid == first\n"
+            "if child == 0:\n"
+            "    netcdf_guard._guard.end()\n"
+            "    os._exit(0 if not same else 1)\n"
+            "assert os.waitpid(child, 0)[1] == 0\n"
+            "assert same\n"
+            "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+        )
+        process, pid = ask(ASK + fork, write(tmp_path / "a.nc"))
+        assert process.communicate() == (b"", b"")
+        assert process.returncode == 0
+        assert is_gone(pid)
+
+    def test_nothing_starts_with_the_package(self):
+        """Help does not wait for it."""
+        done = subprocess.run(
+            [sys.executable, "-c", "import sys, bayes_rs.cli; print('bayes_rs.readers' in sys.modules)"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert done.stdout == "False\n"
