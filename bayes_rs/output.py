@@ -50,9 +50,10 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     try:
         _check_free(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.partial-"))
+        made = tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.partial-")
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
+    part = final.parent / Path(made).name  # as the user wrote it: from Python 3.12 on, what was made is absolute
     try:
         yield part
         _check_free(final, overwrite=overwrite)  # another run may have ended meanwhile

@@ -63,5 +63,6 @@ def stop_at_write(number, sent):
 if __name__ == "__main__":
     record_store.SAVE_SECONDS = 0.0
     files, output, noise, number, sent = sys.argv[1:6]
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
     stop_at_write(int(number), getattr(signal, sent))
     run(files, output, noise, resume=True)

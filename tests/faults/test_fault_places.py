@@ -26,7 +26,7 @@ def test_names(tmp_path, name):
 
 
 def test_a_name_with_nul(tmp_path):
-    with pytest.raises(ValueError, match="null byte"):
+    with pytest.raises(ValueError, match=r"null (byte|character)"):
         output_file(tmp_path / "a\0b").__enter__()
     assert list(tmp_path.iterdir()) == []
 
@@ -71,6 +71,8 @@ def as_somebody_else(work):
     ],
 )
 def test_a_folder_that_is_read_only(tmp_path, write):
+    (tmp_path / "first").mkdir()
+    write(tmp_path / "first")  # loads what it needs, which the other user may not be able to
     place = tmp_path / "place"
     place.mkdir()
     place.chmod(0o555)
