@@ -177,7 +177,11 @@ def _make_many(cache, queue):
         noise = make(cache)
         found.append(noise.covariance.tobytes() + noise.bias.tobytes())
         for file in Path(cache).glob("*.nc"):
-            load_noise(file)  # whole at any moment
+            try:
+                load_noise(file)  # whole at any moment
+            except InputError as error:  # unless another process has taken it away
+                if not isinstance(error.__cause__, FileNotFoundError):
+                    raise
             file.unlink(missing_ok=True)
     queue.put(found)
 
