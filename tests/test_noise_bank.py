@@ -85,6 +85,14 @@ class TestStatedError:
         assert len(one.models) == 1
         assert measure_interpolation(theory_bank(load_scan("2-beam"), FLOW, **FREE), load_scan("2-beam")) <= 0.01
 
+    def test_one_length_scale_that_is_not_the_turbulences_own(self, tmp_path):
+        scan, other = load_scan("staring"), replace(FLOW, length_scale=13.9)
+        for _ in range(2):  # calculated, and from the cache
+            bank = theory_bank(scan, FLOW, wind_speed=[8.0, 9.0], length_scale=[13.9], cache=tmp_path)
+            assert {model.turbulence.length_scale for model in bank.models} == {13.9}
+        expected = theory_bank(scan, other, wind_speed=[8.0, 9.0], cache=False)
+        np.testing.assert_array_equal(bank.models[0].covariance, expected.models[0].covariance)
+
     def test_length_scale_and_anisotropy_are_axes_too(self):
         scan = load_scan("2-beam")
         bank = theory_bank(
@@ -214,6 +222,17 @@ class TestForRecords:
         assert isinstance(noise, NoiseModel)
         assert noise.wind_speed == 8.3
         assert words == "noise: calculated, fu-2022, method theory, 1 state (8.3 m/s, yaw 4°)"
+
+    def test_one_length_scale_of_all_records(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
+        records, scan = self.records([8.0, 9.0], [0.0, 5.0]), load_scan("2-beam")
+        for _ in range(2):
+            noise, words = noise_for_records(records, scan, FLOW, length_scale=[13.9, 13.9])
+            assert noise.for_records([8.0, 9.0], [0.0, 0.1], length_scale=[13.9, 13.9]).covariance.shape == (2, 2, 2)
+            assert {model.turbulence.length_scale for model in noise.models} == {13.9}
+            assert ", L 13.9 m); interpolated" in words
+        with pytest.raises(InputError, match="Invalid length_scale"):
+            noise_for_records(records, scan, FLOW, length_scale=[-1.0])
 
     def test_another_turbulence(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))

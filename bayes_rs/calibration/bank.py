@@ -29,6 +29,7 @@ BANK_VERSION = 1
 
 _MOST_STATES = 1000
 """A net is not refined beyond this many states; then its error may be above the tolerance, and its details say so."""
+_NO_EXTENT = 1e-9  # of ln U, degrees, ln L and Γ
 
 
 class _Axis(NamedTuple):
@@ -121,6 +122,9 @@ def theory_bank(
         np.log(_range([turbulence.length_scale] if length_scale is None else length_scale, "length_scale", above=0.0)),
         _range([turbulence.gamma] if gamma is None else gamma, "gamma"),
     ]
+    if all(span[1] - span[0] <= _NO_EXTENT for span in ranges[2:]):  # it is this flow's bank, whatever was given
+        scale = turbulence.length_scale if length_scale is None else float(np.min(length_scale))
+        turbulence = replace(turbulence, length_scale=scale, gamma=float(ranges[3][0]))
     count = max(min(int(error_beams), scan.n_beam), 1)
     some = scan.select(scan.beam[np.unique(np.linspace(0, scan.n_beam - 1, count).round().astype(int))])
     key = _key(scan, turbulence, ranges, duration, tolerance, count, sonic)
@@ -254,7 +258,7 @@ def _largest(have: FloatArray, want: FloatArray) -> float:
 
 def _nodes(axis: _Axis, span: FloatArray, halvings: int) -> FloatArray:
     """Return the nodes of one axis that hold a range."""
-    if span[1] - span[0] <= 1e-9:
+    if span[1] - span[0] <= _NO_EXTENT:
         return span[:1]
     first, last = _ends(axis, span)
     return np.asarray(axis.anchor + axis.step * np.linspace(first, last, (last - first) * 2**halvings + 1))
@@ -293,7 +297,7 @@ def _key(
     """Return the key of a bank: that of theory at one state, and everything that fixes the net."""
     state = RecordState(scan, 10.0, 0.0, duration)
     spans = [
-        [float(round(span[0], 9))] if span[1] - span[0] <= 1e-9 else list(_ends(axis, span))
+        [float(round(span[0], 9))] if span[1] - span[0] <= _NO_EXTENT else list(_ends(axis, span))
         for axis, span in zip(_AXES, ranges, strict=True)
     ]
     everything = {

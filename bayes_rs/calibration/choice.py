@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from bayes_rs.noise.model import NoiseBank, NoiseModel
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
 
-_SAME = 1e-9  # m/s and rad
+_SAME = 1e-9  # m/s, rad, and of L
+_OTHER = 1e-6  # m: length scales are rounded to it
 _SPEEDS = (1.0, 50.0)  # m/s; lighter or stronger wind gets the noise of these
 _QUICK = 60  # beams whose noise takes a quarter of a second for each state
 _USUAL_SPEEDS, _USUAL_YAWS = (3.0, 25.0), (-60.0, 60.0)  # m/s and degrees
@@ -94,8 +96,11 @@ def noise_for_records(
         raise InputError(f"Invalid noise method {method!r} for the target 'sonic': only 'theory' has its moments.")
     if length_scale is not None and method != "theory":
         raise InputError(f"Invalid noise method {method!r} for an uncertain length scale: only 'theory' spans several.")
+    flow = turbulence
+    if length_scale is not None and np.size(length_scale) and np.ptp(length_scale) <= _SAME * np.max(length_scale):
+        flow, length_scale = replace(turbulence, length_scale=float(np.min(length_scale))), None
     if method == "theory":
-        noise, kept = _from_theory(scan, turbulence, speed, yaw, duration, progress, sonic, length_scale)
+        noise, kept = _from_theory(scan, flow, speed, yaw, duration, progress, sonic, length_scale)
         words = _words(kept, noise, turbulence) + ("; with the moments of a sonic" if sonic else "")
         if isinstance(noise, NoiseBank) and (out := int(np.count_nonzero(noise.locate(speed, yaw)[2]))):
             words += f"; {out} of {len(speed)} records are outside and use its edge"
@@ -184,7 +189,8 @@ def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence)
         f"({_span([m.wind_speed for m in models])} m/s, yaw {_span([np.rad2deg(m.yaw) for m in models])}°"
     )
     scales = [model.turbulence.length_scale for model in models]
-    words += f", L {_span(scales)} m)" if max(scales) > min(scales) else ")"
+    other = max(abs(scale - turbulence.length_scale) for scale in scales) > _OTHER
+    words += f", L {_span(scales)} m)" if other else ")"
     if isinstance(noise, NoiseBank) and len(models) > 1:
         if noise.net is None:
             return words + "; each record uses the nearest"
