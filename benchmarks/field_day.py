@@ -47,17 +47,18 @@ def intensity(
     scan: brs.Scan,
     *,
     length_scale: float | None = None,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
 ) -> pd.DataFrame:
-    """Return σ_u/U of every record beside the masts."""
+    """Return σ_u/U of every record that is fitted beside the masts."""
     flow = brs.load_turbulence("fu-2022")
     if length_scale is not None and length_scale != flow.length_scale:
         flow = replace(flow, length_scale=length_scale, name=f"fu-2022, L = {length_scale:g} m")
     records = records.assign_attrs(scan=scan.name, scan_key=scan.key)
-    noise, words = noise_for_records(records, scan.select(records["beam"].values), flow)
+    own = [float(end(records["length_scale"])) for end in (np.min, np.max)] if "length_scale" in records else None
+    noise, words = noise_for_records(records, scan.select(records["beam"].values), flow, length_scale=own)
     print(words)
     table = brs.summary(brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise), derived=["ti"])
-    return table[table["stress"] == "ti"].merge(reference, left_on="time", right_on="Timestamp")
+    return table[table["stress"] == "ti"].dropna(subset="mean").merge(reference, left_on="time", right_on="Timestamp")
 
 
 def scores(merged: pd.DataFrame, column: str) -> dict[str, float]:
@@ -125,7 +126,17 @@ def as_the_masts_see(records: xr.Dataset, reference: pd.DataFrame) -> xr.Dataset
     return records.assign(variance=(records["variance"].dims, variance))
 
 
-def assumptions(records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
+def as_the_spectra_say(folder: Path, records: xr.Dataset) -> xr.Dataset:
+    """Return the records with the length scales and the instrument's noise of their own spectra."""
+    scan, flow = brs.load_scan("pulsed-4-beam"), brs.load_turbulence("fu-2022")
+    series = brs.read_radial_velocity(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    spectra = brs.radial_spectra(series, scan, records)
+    fitted = brs.fit_spectra(spectra, scan, gamma=flow.gamma)
+    estimate = brs.estimate_instrument_noise(spectra.assign(length_scale=fitted["length_scale"]), scan, flow)
+    return brs.with_instrument_noise(brs.with_length_scale(records, fitted), estimate)
+
+
+def assumptions(folder: Path, records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
     """Return bias, RMSE and coverage against the mean of both masts for other assumptions."""
     base, points = brs.load_scan("pulsed-4-beam"), brs.load_scan("pulsed-4-beam@probe=point")
     ahead = records.assign(yaw=xr.zeros_like(records["yaw"]))
@@ -146,6 +157,10 @@ def assumptions(records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
     for noise in INSTRUMENT_NOISE:
         case = f"probe of 30 m, instrument's noise of {noise:g} m² s⁻²"
         rows[case] = intensity(records, reference, base, instrument_noise=noise)
+    own = as_the_spectra_say(folder, records)
+    for option in ("records", 0.0):
+        case = "probe of 30 m, each record's own L" + (" and the noise, by the spectra" if option else "")
+        rows[case] = intensity(own, reference, base, instrument_noise=option)
     return pd.DataFrame({"case": case, **scores(merged, "both")} for case, merged in rows.items())
 
 
@@ -199,7 +214,7 @@ def main() -> None:
     tables = {
         "field-day": table,
         "field-day-beams": along_beams(records, reference),
-        "field-day-assumptions": assumptions(records, reference),
+        "field-day-assumptions": assumptions(arguments.folder, records, reference),
     }
     for name, made in tables.items():
         made.to_csv(arguments.output / f"{name}.csv", index=False, float_format="%.4f")

@@ -96,7 +96,7 @@ class TestLayout:
             assert result[name].attrs["units"] == "m2 s-2"
 
     def test_attributes_say_what_was_done(self, result, scene):
-        scan, _, _ = scene
+        scan, own, _ = scene
         wanted = {
             "target": "record",
             "sampler": "emcee",
@@ -114,6 +114,8 @@ class TestLayout:
         assert noise == {
             "method": "given",
             "turbulence": "test",
+            "length_scales": [own.turbulence.length_scale],
+            "gammas": [own.turbulence.gamma],
             "duration": 600.0,
             "wind_speeds": [10.0],
             "yaws_deg": [0.0],

@@ -9,6 +9,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import bayes_rs as brs
+from bayes_rs.cli.fit_commands import fit
 from bayes_rs.cli.spectra_command import spectra
 from bayes_rs.readers.rays import direction_of
 
@@ -31,7 +32,7 @@ def test_the_command_writes_tables_a_figure_and_what_it_did(tmp_path):
     done = CliRunner().invoke(spectra, arguments)
     assert done.exit_code == 0, done.output
     assert "5 of 5 records fitted" in done.output
-    names = {"spectra.csv", "fit.csv", "noise.csv", "spectra.nc", "fit.nc", "spectra.png", "run.json"}
+    names = {"spectra.csv", "fit.csv", "noise.csv", "spectra.nc", "fit.nc", "records.nc", "spectra.png", "run.json"}
     assert {file.name for file in (tmp_path / "out").iterdir()} == names
     table = pd.read_csv(tmp_path / "out" / "fit.csv")
     assert len(table) == 5
@@ -40,6 +41,46 @@ def test_the_command_writes_tables_a_figure_and_what_it_did(tmp_path):
     assert len(pd.read_csv(tmp_path / "out" / "noise.csv")) == 10
     again = CliRunner().invoke(spectra, arguments)
     assert isinstance(again.exception, brs.InputError)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("common", [False, True])
+def test_its_records_go_into_a_fit(tmp_path, common):
+    """Noise that was added is found, and taken away; the noise of the records is that of their length scale."""
+    scan, added = brs.load_scan("2-beam"), 0.3
+    flow = brs.load_turbulence("stable-offshore")  # L is 16 m, the fit's own 61 m
+    series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
+    noise = np.random.default_rng(2).normal(0.0, np.sqrt(added), series.sizes["sample"])
+    series["radial_velocity"] = series["radial_velocity"] + noise
+    table = series.to_dataframe().reset_index(drop=False)[["time", "beam", "radial_velocity"]]
+    table.to_csv(tmp_path / "day.csv", index=False)
+    arguments = [str(tmp_path / "day.csv"), "--scan", "2-beam", "--positive", "away", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(spectra, [*arguments, *(["--one-length-scale"] if common else [])])
+    assert done.exit_code == 0, done.output
+    assert f"each record with {'the length scale of all' if common else 'its own length scale'}" in done.output
+    records = xr.load_dataset(tmp_path / "out" / "records.nc", engine="h5netcdf")
+    own = pd.read_csv(tmp_path / "out" / "fit.csv")["length_scale"]
+    pooled = json.loads((tmp_path / "out" / "run.json").read_text())["length_scale_of_all"]
+    expected = np.full(20, pooled) if common else own.to_numpy()
+    np.testing.assert_allclose(records["length_scale"], expected, rtol=1e-12)
+    assert 10.0 < pooled < 25.0
+    found = np.unique(records["instrument_noise"].values)
+    # one number for all: its standard error is 0.2 of the signal's variance at most, over the root of 20 records
+    assert found == pytest.approx([added], abs=0.05)
+    uu = {}
+    for name, more in (("with", ["--instrument-noise", "records"]), ("without", [])):
+        target = tmp_path / name
+        given = [str(tmp_path / "out" / "records.nc"), "--scan", "2-beam", "--sampler", "direct", "--ess", "200"]
+        done = CliRunner().invoke(fit, [*given, *more, "-o", str(target)])
+        assert done.exit_code == 0, done.output
+        rows = pd.read_csv(target / "summary.csv")
+        uu[name] = float(rows[rows["stress"] == "uu"]["median"].mean())
+        run = json.loads((target / "run.json").read_text())
+        scales = run["noise"]["length_scales"]
+        assert scales[0] <= expected.min() * (1.0 + 1e-6)
+        assert scales[-1] >= expected.max() * (1.0 - 1e-6)
+    lost = found[0] / np.cos(np.deg2rad(15.0)) ** 2
+    assert uu["without"] - uu["with"] == pytest.approx(lost, abs=0.1)
 
 
 def test_the_measured_day(iea_folder):

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayes_rs.cli.options import (
-    NumberOrRecords,
     chosen_nuisances,
     chosen_scan,
     given_records,
+    instrument_noise_option,
     nuisance_options,
     read_or_make_records,
     read_series,
@@ -89,13 +89,7 @@ _SENSITIVITY_OPTIONS = (
 )
 @nuisance_options
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
-@click.option(
-    "--instrument-noise",
-    type=NumberOrRecords("m² s⁻²"),
-    default=0.0,
-    show_default=True,
-    help="Variance that the instrument adds, m² s⁻²; or records, for what each record holds for each beam.",
-)
+@instrument_noise_option
 @click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the credible intervals.")
 @click.option(
     "--derived",
@@ -227,9 +221,7 @@ def _tell(outcome: Outcome | LongOutcome, output: Path) -> None:
 @click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
 @click.option("--sampler", default="auto", show_default=True, help="emcee, direct, auto or emcee-plain.")
 @nuisance_options
-@click.option(
-    "--instrument-noise", type=float, default=0.0, show_default=True, help="Variance that the instrument adds, m² s⁻²."
-)
+@instrument_noise_option
 @click.option("--prob", type=float, default=0.9, show_default=True, help="Probability of the central intervals.")
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="CSV file to write, with all columns.")
@@ -284,5 +276,5 @@ def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> N
     figure = plot_corner(open_result(folder), record)
     picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
     with output_file(picture, overwrite=overwrite) as part:
-        figure.savefig(part, dpi=130)  # type: ignore[attr-defined]  # a whole figure: none was given to draw in
+        figure.savefig(part, dpi=130)
     click.echo(str(picture))

@@ -216,6 +216,17 @@ record_options = _together(
 """How records are made, as for `bayes_rs.make_records`."""
 
 
+instrument_noise_option = click.option(
+    "--instrument-noise",
+    type=NumberOrRecords("m² s⁻²"),
+    default=0.0,
+    show_default=True,
+    help="Variance that the instrument adds, m² s⁻²; or records, for what each record holds for each beam, as those "
+    "that bayes-rs spectra writes.",
+)
+"""What the instrument adds to the variances, as in `bayes_rs.fit`."""
+
+
 nuisance_options = _together(
     click.option(
         "--yaw-sd",

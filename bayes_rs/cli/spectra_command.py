@@ -38,6 +38,11 @@ from bayes_rs.cli.options import chosen_scan, read_series, reading_options, reco
     help="Its standard deviation, m² s⁻²; 0 if it is known. By default 20 % of each variance.",
 )
 @click.option("--tapers", type=int, default=0, show_default=True, help="Sine tapers; 0 is the plain periodogram.")
+@click.option(
+    "--one-length-scale",
+    is_flag=True,
+    help="Give all records in records.nc the length scale that they have in common, not each its own.",
+)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
 def spectra(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
@@ -59,6 +64,7 @@ def spectra(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
         instrument_noise=options["instrument_noise"],
         instrument_noise_sd=options["floor_sd"],
         tapers=options["tapers"],
+        one_length_scale=options["one_length_scale"],
         overwrite=overwrite,
         source_files=[file.name for file in files],
         say=click.echo,

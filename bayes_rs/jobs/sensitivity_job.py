@@ -29,7 +29,7 @@ def run_sensitivity(
     target: str = "record",
     sampler: str = "auto",
     nuisances: Nuisances | None = None,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
     seed: int = 1,
     say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
 ) -> pd.DataFrame:

@@ -35,7 +35,7 @@ def prior_sensitivity(
     target: str = "record",
     sampler: str = "auto",
     nuisances: Nuisances | None = None,
-    instrument_noise: float = 0.0,
+    instrument_noise: float | str = 0.0,
     show_progress: bool | None = None,
 ) -> pd.DataFrame:
     """Fit the records again under narrower and wider versions of the prior, and tell what changes.

@@ -202,6 +202,8 @@ def noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
     return {
         "method": first.method,
         "turbulence": first.turbulence.name,
+        "length_scales": sorted({round(model.turbulence.length_scale, 6) for model in models}),
+        "gammas": sorted({round(model.turbulence.gamma, 6) for model in models}),
         "duration": first.duration,
         "wind_speeds": sorted({round(model.wind_speed, 6) for model in models}),
         "yaws_deg": sorted({round(float(np.rad2deg(model.yaw)), 6) for model in models}),

@@ -12,8 +12,8 @@ import xarray as xr
 from bayes_rs._version import __version__
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.output import check_output_folder, output_folder, write_csv, write_netcdf, write_run
-from bayes_rs.spectra.mann_fit import fit_spectra, pool_length_scale
-from bayes_rs.spectra.noise_estimate import estimate_instrument_noise
+from bayes_rs.spectra.mann_fit import fit_spectra, pool_length_scale, with_length_scale
+from bayes_rs.spectra.noise_estimate import estimate_instrument_noise, with_instrument_noise
 from bayes_rs.spectra.radial_spectrum import average_spectra, radial_spectra
 from bayes_rs.turbulence.mann import load_turbulence
 
@@ -40,6 +40,7 @@ def run_spectra(
     instrument_noise: float = 0.0,
     instrument_noise_sd: float | None = None,
     tapers: int = 0,
+    one_length_scale: bool = False,
     overwrite: bool = False,
     source_files: Sequence[str] = (),
     say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
@@ -53,11 +54,14 @@ def run_spectra(
     output : str or Path
         Folder to make: ``spectra.csv``, the averages of each beam; ``fit.csv``, one row a record; ``noise.csv``, the
         instrument's noise of each record and beam from structure functions; ``spectra.nc`` and ``fit.nc``, all of it;
-        ``spectra.png`` and ``run.json``.
+        ``records.nc``, the records with their length scales and the instrument's noise, for a fit; ``spectra.png`` and
+        ``run.json``.
     turbulence : str
         Its Γ is that of the fit, and it is what the noise from structure functions takes the flow to be.
     length_scale_prior, instrument_noise, instrument_noise_sd, tapers
         As in `fit_spectra` and `radial_spectra`.
+    one_length_scale : bool
+        Give all records in ``records.nc`` the length scale that their spectra have in common, not each its own.
     overwrite : bool
         Replace the folder of an earlier run.
     source_files : sequence of str
@@ -91,6 +95,10 @@ def run_spectra(
     pooled = pool_length_scale(fit)
     estimate = estimate_instrument_noise(spectra.assign(length_scale=fit["length_scale"]), scan, flow)
     averages = average_spectra(spectra)
+    known = bool(np.isfinite(estimate["instrument_noise"].values).any())
+    for_fit = with_length_scale(records, fit, pooled if one_length_scale else None)
+    if known:
+        for_fit = with_instrument_noise(for_fit, estimate)
     record = np.arange(spectra.sizes["record"])
     rows = pd.DataFrame({"record": record, "time": fit["time"].values, "wind_speed": spectra["wind_speed"].values})
     rows = rows.assign(**{name: fit[name].values for name in _FIT_COLUMNS})
@@ -101,6 +109,7 @@ def run_spectra(
         write_csv(floor, folder / "noise.csv", index=False)
         write_netcdf(spectra, folder / "spectra.nc")
         write_netcdf(fit, folder / "fit.nc")
+        write_netcdf(for_fit, folder / "records.nc")
         plot_spectra(spectra, fit).savefig(folder / "spectra.png", dpi=130)
         write_run(
             folder,
@@ -115,6 +124,7 @@ def run_spectra(
                 "instrument_noise": instrument_noise,
                 "instrument_noise_sd": instrument_noise_sd,
                 "tapers": tapers,
+                "one_length_scale": one_length_scale,
                 "interval": spectra.attrs["interval"],
                 "n_record": len(record),
                 "n_fitted": int(np.isfinite(rows["length_scale"]).sum()),
@@ -124,6 +134,10 @@ def run_spectra(
         )
     for line in spectra_words(fit, pooled, estimate):
         say(line)
+    scale = "the length scale of all" if one_length_scale else "its own length scale"
+    say(f"records.nc: each record with {scale}, for bayes-rs fit")
+    if known:
+        say("  and with the instrument's noise, which --instrument-noise records takes away there")
     return fit
 
 
