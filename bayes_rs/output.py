@@ -6,12 +6,13 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_rs.errors import InputError
+from bayes_rs.folder_lock import locked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +45,20 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     Raises
     ------
     InputError
-        If the folder exists and may not be replaced, or its parent cannot be written.
+        If the folder exists and may not be replaced, another run is writing it, or its parent cannot be written.
     """
     final = Path(path)
+    with _alone(final, overwrite=overwrite), _fresh_folder(final, overwrite=overwrite) as part:
+        yield part
+
+
+def _alone(final: Path, *, overwrite: bool) -> AbstractContextManager[None]:
+    """Keep others from a folder that is to be replaced: a long run may still be filling it."""
+    return locked(final) if overwrite and final.is_dir() else nullcontext()
+
+
+@contextmanager
+def _fresh_folder(final: Path, *, overwrite: bool) -> Iterator[Path]:
     try:
         _check_free(final, overwrite=overwrite)
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +125,9 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
             raise _cannot_write("", final, error, "give a place that can be written") from error
 
 
-def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwrite: bool) -> Path:
+def prepare_resumable_folder(
+    path: str | Path, key: str, parts: Mapping[str, str], *, resume: bool, overwrite: bool
+) -> Path:
     """Make a folder that is filled part by part, or find the one that an interrupted run left.
 
     Parameters
@@ -122,6 +136,8 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
         The folder.
     key : str
         Fingerprint of the run: data, options and version.
+    parts : mapping of str to str
+        The fingerprints that `key` is made of, by what they are of: they tell what differs from another run.
     resume : bool
         Go on in the folder of an interrupted run with the same key.
     overwrite : bool
@@ -130,7 +146,7 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
     Returns
     -------
     folder : Path
-        The folder; its `run.json` holds the key from the beginning.
+        The folder; its `run.json` holds the key and its parts from the beginning.
 
     Raises
     ------
@@ -138,18 +154,19 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
         If the folder exists and is neither to be resumed nor replaced, is of another run, or cannot be written.
     """
     final = Path(path)
+    begun = {"key": key, "key_parts": dict(parts), "finished": False}
     try:
         if final.is_dir() and resume and not final.is_symlink():
-            found = _run_key(final)
+            found, found_parts = _run_key(final)
             if found == key:
-                write_run(final, {"key": key, "finished": False})  # a folder that cannot be written says so now
+                write_run(final, begun)  # a folder that cannot be written says so now
                 return final
             if found is not None and not overwrite:
                 raise InputError(
-                    f"Output folder {str(final)!r} is of a run with other data, options or version, so it cannot be "
-                    "resumed: give the same ones, another name, or overwrite."
+                    f"Output folder {str(final)!r} is of a run that differs in {_differing(found_parts, parts)}, so it "
+                    "cannot be resumed: give the same, another name, or overwrite."
                 )
-        elif final.is_dir() and not overwrite and _run_key(final) == key:
+        elif final.is_dir() and not overwrite and _run_key(final)[0] == key:
             raise InputError(
                 f"Output folder {str(final)!r} exists, from a run of the same data and options: resume to go on with "
                 "it, or overwrite to begin anew."
@@ -161,21 +178,29 @@ def prepare_resumable_folder(path: str | Path, key: str, *, resume: bool, overwr
                 Path(name) / "run"
             )  # the folder never exists without its key: it could neither be resumed nor replaced
             part.mkdir()
-            write_run(part, {"key": key, "finished": False})
+            write_run(part, begun)
             _take_place(part, final)
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     return final
 
 
-def _run_key(folder: Path) -> str | None:
-    """Return the key in a folder's run.json; None if there is none."""
+def _run_key(folder: Path) -> tuple[str | None, dict[str, Any]]:
+    """Return the key in a folder's run.json and its parts; None and nothing if there is none."""
     try:
         content = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return None
-    key = content.get("key") if isinstance(content, dict) else None
-    return key if isinstance(key, str) else None
+        return None, {}
+    if not isinstance(content, dict):
+        return None, {}
+    key, parts = content.get("key"), content.get("key_parts")
+    return key if isinstance(key, str) else None, parts if isinstance(parts, dict) else {}
+
+
+def _differing(found: Mapping[str, Any], now: Mapping[str, str]) -> str:
+    """Say what differs between two runs, as ``prior and seed``."""
+    names = [name.replace("_", " ") for name in now if found and found.get(name) != now[name]]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names) or "data, options or version"
 
 
 def write_run(folder: Path, content: dict[str, Any]) -> None:
@@ -250,11 +275,13 @@ def check_output_folder(path: str | Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     InputError
-        If the folder exists and may not be replaced.
+        If the folder exists and may not be replaced, or another run is writing it.
     """
     final = Path(path)
     try:
         _check_free(final, overwrite=overwrite)
+        with _alone(final, overwrite=overwrite):
+            pass
     except OSError as error:
         raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
 

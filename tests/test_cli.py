@@ -400,7 +400,7 @@ class TestLongFit:
         assert "2 of 2 records were finished by an earlier run" in long_fit("--draws", "none", "--resume")[2]
         refusal(
             *long_fit("--draws", "none", "--resume", "--seed", 7),
-            "is of a run with other data, options or version, so it cannot be resumed",
+            "is of a run that differs in seed, so it cannot be resumed: give the same, another name, or overwrite",
         )
 
     def test_an_error_says_what_is_kept(self, long_fit, monkeypatch):

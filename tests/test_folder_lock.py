@@ -17,6 +17,7 @@ from campaign_scene import N_RECORD, OPTIONS, PART, SCAN, make_records
 from bayes_rs import InputError, fit_campaign, read_summary
 from bayes_rs.campaigns import campaign_plan
 from bayes_rs.folder_lock import locked
+from bayes_rs.output import check_output_folder, output_folder, write_run
 
 TESTS = Path(__file__).parent
 HOLD = (
@@ -140,6 +141,41 @@ class TestLock:
             locked(place),
         ):
             pass
+
+
+class TestReplacing:
+    """Commands that write a folder at once do not replace one that another run is filling."""
+
+    @pytest.fixture
+    def older(self, place):
+        with output_folder(place) as folder:
+            write_run(folder, {"n": 1})
+        return place
+
+    def test_it_waits_for_nobody_and_spoils_nothing(self, older):
+        other = start(HOLD, older)
+        with pytest.raises(InputError, match="is being written by another run"):
+            check_output_folder(older, overwrite=True)
+        with pytest.raises(InputError, match="is being written by another run"), output_folder(older, overwrite=True):
+            pytest.fail("nothing is to be done")
+        assert [path.name for path in older.iterdir()] == ["run.json"]
+        assert end(other) == 0
+        check_output_folder(older, overwrite=True)
+        with output_folder(older, overwrite=True) as folder:
+            write_run(folder, {"n": 2})
+        assert '"n": 2' in (older / "run.json").read_text()
+        assert [path.name for path in older.parent.iterdir()] == ["out"]
+
+    def test_while_it_writes_no_other_run_begins(self, older):
+        with output_folder(older, overwrite=True) as folder:
+            write_run(folder, {"n": 2})
+            with pytest.raises(InputError, match="is being written by another run"), locked(older):
+                pass
+
+    def test_a_new_folder_needs_no_lock(self, place):
+        with locked(place), output_folder(place) as folder:
+            write_run(folder, {"n": 1})
+        assert (place / "run.json").is_file()
 
 
 @pytest.mark.slow

@@ -154,8 +154,14 @@ class TestInterruptions:
         same(tmp_path / "out", whole)
 
     def test_other_options_are_refused(self, files, noise, whole):
-        for other in ({"seed": 4}, {"prob": 0.5}, {"lateness": 1.0}, {"reading": {"positive": "towards"}}):
-            with pytest.raises(InputError, match="other data, options or version"):
+        for other, what in (
+            ({"seed": 4}, "seed"),
+            ({"prob": 0.5}, "prob"),
+            ({"lateness": 1.0}, "lateness"),
+            ({"reading": {"positive": "towards"}}, "reading options"),
+            ({"turbulence": "stable-land", "prior": "flat", "seed": 5}, "turbulence, prior and seed"),
+        ):
+            with pytest.raises(InputError, match=f"is of a run that differs in {what}, so it cannot be resumed"):
                 run(files, whole, noise, resume=True, **other)
 
     def test_bad_options_are_refused_before_a_folder_is_made(self, files, noise, tmp_path):

@@ -190,7 +190,7 @@ class TestOlderFolders:
         monkeypatch.setattr(campaign_plan, "LAYOUT", 1)
         run_folder_fit(place / "year", scan, tmp_path / "out", **options, **FITTING)
         monkeypatch.undo()
-        words = "is of a run with other data, options or version, so it cannot be resumed: give the same"
+        words = "is of a run that differs in layout of the tables, so it cannot be resumed: give the same"
         with pytest.raises(InputError, match=words):
             run_folder_fit(place / "year", scan, tmp_path / "out", resume=True, **options, **FITTING)
 

@@ -243,7 +243,7 @@ def begin_campaign(
     """
     if resume and not overwrite:
         check_versions(output)
-    folder = prepare_resumable_folder(output, plan.key, resume=resume, overwrite=overwrite)
+    folder = prepare_resumable_folder(output, plan.key, plan.key_parts, resume=resume, overwrite=overwrite)
     return run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
 
 

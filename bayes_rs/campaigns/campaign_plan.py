@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs._version import __version__
 from bayes_rs.campaigns.campaign_parts import Part, Shared
-from bayes_rs.campaigns.digest import digest
+from bayes_rs.campaigns.digest import digest, digest_parts
 from bayes_rs.campaigns.draw_store import check_zarr
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import sight
@@ -96,9 +96,11 @@ class CampaignOptions:
         own = ("prob", "derived", "draws")
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in own}
 
-    def for_key(self) -> list[Any]:
-        """Return what tells runs with other options apart, for `digest`."""
-        return [LAYOUT, self.of_fit, self.instrument_noise, self.prob, self.derived, self.draws]
+    def for_key(self) -> dict[str, Any]:
+        """Return what tells runs with other options apart, by name, for `digest_parts`."""
+        of_fit = {entry.name: getattr(self.of_fit, entry.name) for entry in fields(self.of_fit)}
+        own = ("instrument_noise", "prob", "derived", "draws")
+        return {**of_fit, **{name: getattr(self, name) for name in own}, "layout_of_the_tables": LAYOUT}
 
     def for_run(self) -> dict[str, Any]:
         """Return what `run.json` says of the options."""
@@ -128,6 +130,8 @@ class CampaignPlan:
     ----------
     key : str
         Fingerprint of data, options and versions.
+    key_parts : dict of str to str
+        The fingerprints that it is made of, by what they are of.
     shared : Shared
         What all parts need.
     parts : list of Part
@@ -139,6 +143,7 @@ class CampaignPlan:
     """
 
     key: str
+    key_parts: Mapping[str, str]
     shared: Shared
     parts: list[Part]
     prior_draws: FloatArray
@@ -175,7 +180,16 @@ def plan_campaign(
     parts = _parts(records, batch)
     described = [(part.record, part.time, part.flag) for part in parts]
     versions = number_versions()
-    key = digest(__version__, versions, scan.key, noise, batch, described, options.for_key(), PART_RECORDS)
+    key_parts = digest_parts(
+        version=__version__,
+        packages=versions,
+        scan=scan.key,
+        noise=noise,
+        records=[batch, described],
+        part_records=PART_RECORDS,
+        **options.for_key(),
+    )
+    key = digest(key_parts)
     prior_draws = of_fit.prior.draw(N_PRIOR_DRAW, PRIOR_SEED)
     weight, vectors = scan_directions(scan)
     shared = Shared(
@@ -192,6 +206,7 @@ def plan_campaign(
         "bayes_rs": __version__,
         "packages": versions,
         "key": key,
+        "key_parts": key_parts,
         "scan": scan.name,
         "scan_key": scan.key,
         "scan_toml": scan_text(scan),
@@ -201,7 +216,7 @@ def plan_campaign(
         **options.for_run(),
         "n_record": len(batch),
     }
-    return CampaignPlan(key, shared, parts, prior_draws, run)
+    return CampaignPlan(key, key_parts, shared, parts, prior_draws, run)
 
 
 def _parts(records: xr.Dataset, batch: Batch) -> list[Part]:

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_SHORT = 32
+"""Hexadecimal digits of a part of a key: 128 bits, beyond any chance."""
+
 
 def digest(*things: Any) -> str:
     """Return a hexadecimal SHA-256 fingerprint of arrays, numbers, texts, containers and objects made of them.
@@ -24,6 +27,18 @@ def digest(*things: Any) -> str:
     for thing in things:
         _update(state, thing)
     return state.hexdigest()
+
+
+def digest_parts(**things: Any) -> dict[str, str]:
+    """Return a short fingerprint of each thing by its name, which together make a key and tell what differs.
+
+    Examples
+    --------
+    >>> one, other = digest_parts(seed=1, prior="weak"), digest_parts(seed=2, prior="weak")
+    >>> [name for name in one if one[name] != other[name]]
+    ['seed']
+    """
+    return {name: digest(thing)[:_SHORT] for name, thing in things.items()}
 
 
 def _update(state: Any, thing: Any) -> None:

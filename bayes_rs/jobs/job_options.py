@@ -53,9 +53,10 @@ class JobOptions:
         )
         return noise, with_yaw_sd(records, scan, noise, nuisances, say)
 
-    def for_key(self, given: NoiseModel | NoiseBank | None) -> list[Any]:
-        """Return what tells runs with other options apart, for `digest`."""
-        return [self.turbulence, self.noise_method, given, *self.of_fit.for_key()]
+    def for_key(self, given: NoiseModel | NoiseBank | None) -> dict[str, Any]:
+        """Return what tells runs with other options apart, by name, for `digest_parts`."""
+        made = {"turbulence": self.turbulence, "noise_method": self.noise_method}
+        return {**made, "noise": given, **self.of_fit.for_key()}
 
     def for_run(self, noise: NoiseModel | NoiseBank, records: xr.Dataset) -> dict[str, Any]:
         """Return what `run.json` says of where the noise came from."""

@@ -23,7 +23,7 @@ from bayes_rs.campaigns.campaign_plan import (
     number_versions,
     plan_campaign,
 )
-from bayes_rs.campaigns.digest import digest
+from bayes_rs.campaigns.digest import digest, digest_parts
 from bayes_rs.campaigns.record_store import store_records
 from bayes_rs.campaigns.tables import read_tables
 from bayes_rs.campaigns.workers import connect
@@ -288,12 +288,21 @@ def run_folder_fit(
     clock = [time.perf_counter()]
     given = asked.given_noise()
     read, made = dict(reading or {}), dict(recording or {})
-    key = digest(__version__, number_versions(), scan.key, read, made, lateness, asked.for_key(given))
+    key_parts = digest_parts(
+        version=__version__,
+        packages=number_versions(),
+        scan=scan.key,
+        reading_options=read,
+        record_options=made,
+        lateness=lateness,
+        **asked.for_key(given),
+    )
+    key = digest(key_parts)
     with locked(output):
         if resume and not overwrite:
             check_versions(output)
-        folder = prepare_resumable_folder(output, key, resume=resume, overwrite=overwrite)
-        write_run(folder, {"key": key, "finished": False, "packages": number_versions()})
+        folder = prepare_resumable_folder(output, key, key_parts, resume=resume, overwrite=overwrite)
+        write_run(folder, {"key": key, "key_parts": key_parts, "finished": False, "packages": number_versions()})
         stored = store_records(
             files,
             scan,
@@ -315,7 +324,7 @@ def run_folder_fit(
             check_workers(workers, client)
             plan = plan_campaign(records, scan, noise, asked.of_fit)
             _only_of(plan, folder)
-            plan = replace(plan, run={**plan.run, "key": key})
+            plan = replace(plan, run={**plan.run, "key": key, "key_parts": key_parts})
             campaign = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
         clock.append(time.perf_counter())
         return _finish(

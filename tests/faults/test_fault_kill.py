@@ -123,6 +123,6 @@ class TestFolders:
                 (folder / "posterior.nc").write_text("new")
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
-        places = [place for place in tmp_path.iterdir() if any(place.iterdir())]
+        places = [place for place in tmp_path.iterdir() if place.is_dir() and any(place.iterdir())]  # and a lock
         assert sorted((place / "posterior.nc").read_text() for place in places) == ["new", "old"]
         assert all((place / "run.json").is_file() for place in places)
