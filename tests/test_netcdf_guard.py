@@ -22,10 +22,14 @@ from format_files import compress, series_of
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
+from bayes_rs.jobs import fit_job
+from bayes_rs.jobs.fit_job import open_result
 from bayes_rs.jobs.record_files import open_records
+from bayes_rs.noise.reading import load_noise
 from bayes_rs.readers import netcdf_guard, read_radial_velocity
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault
+from bayes_rs.report import folder as report_folder
 
 SIX = six_beam(45.0, step=1.0)
 SHORT = series_of(SIX, n_scan=8)
@@ -141,6 +145,28 @@ class TestDamagedFiles:
         """The reader of radial velocities, which comes next, says what is wrong."""
         assert open_records(write(tmp_path / "hangs.nc"), SIX) is None
         assert open_records(write(tmp_path / "dies.nc"), SIX) is None
+
+    @pytest.mark.usefixtures("mischief")
+    def test_noise_that_another_program_wrote(self, tmp_path):
+        file = write(tmp_path / "hangs.nc")
+        with pytest.raises(InputError) as info:
+            load_noise(file)
+        assert f"File {str(file)!r} cannot be read as NetCDF" in str(info.value)
+        assert NO_END in str(info.value)
+
+    @pytest.mark.usefixtures("mischief")
+    def test_a_result(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(fit_job, "POSTERIOR_FILE", "hangs.nc")
+        file = write(tmp_path / "hangs.nc")
+        with pytest.raises(InputError) as info:
+            open_result(tmp_path)
+        assert str(info.value) == f"File {str(file)!r} cannot be read as NetCDF: {NO_END}."
+
+    def test_records_of_a_result(self, guard, tmp_path):
+        plant_endless_heap(write(tmp_path / "records.nc"))
+        with pytest.raises(InputError, match=r"records\.nc' cannot be read as NetCDF: .*; check that it is complete"):
+            report_folder._read_records(tmp_path, 1)
+        assert guard.process is None or guard.process.poll() is None
 
     @pytest.mark.usefixtures("mischief")
     def test_a_compressed_file_is_named_as_the_user_knows_it(self, tmp_path):

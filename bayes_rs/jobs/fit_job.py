@@ -6,7 +6,6 @@ import json
 import platform
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +18,6 @@ import xarray as xr
 from bayes_rs._version import __version__
 from bayes_rs.campaigns.campaign_plan import CampaignOptions
 from bayes_rs.errors import InputError
-from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.jobs.job_options import JobOptions
@@ -148,9 +146,7 @@ def run_fit(
             derived=derived,
         ),
     )
-    # what is replaced may be the folder of a long fit that still runs
-    alone = locked(output) if overwrite and Path(output).exists() else nullcontext()
-    with alone, output_folder(output, overwrite=overwrite) as folder:
+    with output_folder(output, overwrite=overwrite) as folder:
         clock = [time.perf_counter()]
         noise, records = asked.noise_and_records(records, scan, asked.given_noise(), say)
         clock.append(time.perf_counter())
@@ -165,7 +161,7 @@ def run_fit(
         fitted = np.flatnonzero((flags & UNFITTED) == 0)
         plot_stresses(result, prob=prob).savefig(folder / "stresses.png", dpi=130)
         if len(fitted):
-            plot_corner(result, int(fitted[0])).savefig(folder / "corner.png", dpi=130)  # type: ignore[attr-defined]  # a whole figure, none was given
+            plot_corner(result, int(fitted[0])).savefig(folder / "corner.png", dpi=130)
         clock.append(time.perf_counter())
         names = ("noise", "sampling", "summary", "figures")
         words = [
@@ -243,7 +239,7 @@ def open_result(folder: str | Path) -> xr.DataTree:
             f"No result in {str(folder)!r}: it has no {POSTERIOR_FILE}; give the output folder of bayes-rs fit."
         )
     try:
-        check_netcdf(path)
+        check_netcdf(path, guarded=True)
         tree = xr.open_datatree(path, engine="h5netcdf")
         loaded = tree.load()
         tree.close()

@@ -48,9 +48,9 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"No noise file {str(file)!r}: make one with calibrate, or give the path of another.")
-    is_sealed(file)
+    sealed = is_sealed(file)
     try:
-        check_netcdf(file)
+        check_netcdf(file, guarded=not sealed)
         dataset = xr.load_dataset(file, engine="h5netcdf")
     except UNREADABLE as error:
         reason = error.__cause__ or error

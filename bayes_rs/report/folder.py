@@ -29,6 +29,8 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.jobs.fit_job import POSTERIOR_FILE, open_result
 from bayes_rs.models import preset_names
 from bayes_rs.output import RUN_FILE
+from bayes_rs.readers.compressed import UNREADABLE
+from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.results.direction_table import directions
 from bayes_rs.results.result import group
 from bayes_rs.results.summarizing import DIAGNOSTICS, summary
@@ -240,8 +242,11 @@ def _read_records(path: Path, n_record: int) -> xr.Dataset | None:
     if not file.is_file():
         return None
     try:
+        check_netcdf(file, guarded=True)
         records = xr.load_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError) as error:
+    except InputError:
+        raise
+    except UNREADABLE as error:
         raise InputError(f"File {str(file)!r} cannot be read: {error}; run the fit again.") from error
     if records.sizes.get("record") != n_record:
         raise InputError(
