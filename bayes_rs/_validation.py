@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 
 import numpy as np
@@ -55,9 +56,17 @@ def check_count(value: int, *, what: str, minimum: int = 1) -> int:
     return int(value)
 
 
+def as_numbers(values: ArrayLike, *, what: str) -> FloatArray:
+    """Return `values` as a float64 array of any shape."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"Invalid {what} {reprlib.repr(values)}: it must be an array of numbers.") from error
+
+
 def check_array(values: ArrayLike, shape: tuple[int | None, ...], *, what: str) -> FloatArray:
     """Return `values` as a finite float64 array of `shape`, where None stands for any length."""
-    array = np.asarray(values, dtype=np.float64)
+    array = as_numbers(values, what=what)
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("n" if size is None else str(size) for size in shape)
         raise InputError(f"Invalid {what} of shape {array.shape}: the shape must be ({wanted}).")

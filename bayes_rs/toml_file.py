@@ -90,6 +90,11 @@ def invalid_file(what: str, path: Path, error: ValidationError, *, leave_out: Co
     error : InputError
         With the place, the value and the rule, in one line of limited length.
     """
+    return InputError(f"Invalid {what} file {str(path)!r}: {first_fault(error, leave_out=leave_out)}.")
+
+
+def first_fault(error: ValidationError, *, leave_out: Collection[str] = ()) -> str:
+    """Return the place, the value and the rule of the first entry that is not valid; see `invalid_file`."""
     first = error.errors(include_url=False, include_context=False)[0]
     place = ".".join(str(part) for part in first["loc"] if part not in leave_out)
     if not place.isprintable() or len(place) > 2 * _SHOWN:
@@ -100,7 +105,7 @@ def invalid_file(what: str, path: Path, error: ValidationError, *, leave_out: Co
     }.get(first["type"], first["msg"][0].lower() + first["msg"][1:])
     rule = rule if len(rule) <= 3 * _SHOWN else f"{rule[: 3 * _SHOWN]}…"
     given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
-    return InputError(f"Invalid {what} file {str(path)!r}: {place}{given}: {rule}.")
+    return f"{place}{given}: {rule}"
 
 
 def shown(value: Any) -> str:

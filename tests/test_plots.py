@@ -264,6 +264,8 @@ class TestStresses:
         ("truth", "message"),
         [
             ([1.0, 0.5, 0.3], r"Invalid truth of shape \(3,\): the shape must be \(6\)"),
+            ({"uu": 1.0}, r"Invalid truth \{'uu': 1\.0\}: it must be an array of numbers"),
+            ([[1.0], [1.0, 0.5]], r"Invalid truth \[\[1\.0\], \[1\.0, 0\.5\]\]: it must be an array of numbers"),
             (np.ones((3, 6)), r"Invalid truth of shape \(3, 6\): the shape must be \(4, 6\)"),
             ([np.nan] * 6, r"Invalid truth: the entry at \(0,\) is nan"),
             (

@@ -165,7 +165,7 @@ class TestOverrides:
 
     @pytest.mark.parametrize("distance", [-98.0, 0.0, np.nan, np.inf])
     def test_bad_focus_distance_is_refused(self, distance):
-        with pytest.raises(InputError, match=r"Invalid scan file .*6-beam.toml': beams.focus_distance"):
+        with pytest.raises(InputError, match=r"^Invalid change of scan '6-beam': beams.focus_distance\.0 = "):
             load_scan("6-beam", focus_distance=distance)
 
 
@@ -199,7 +199,9 @@ class TestChangesBehindTheName:
             ("6-beam@tilt_deg=a", "Invalid tilt_deg 'a' of scan '6-beam': it must be a number"),
             ("6-beam@tilt_deg=1+2", "only focus distances may be several"),
             ("6-beam@tilt_deg=1,tilt_deg=2", "it changes tilt_deg twice"),
-            ("6-beam@tilt_deg=nan", "mounting.tilt_deg = nan"),
+            ("6-beam@tilt_deg=nan", "Invalid change of scan '6-beam': mounting.tilt_deg = nan"),
+            ("6-beam@focus_distance=-5", r"Invalid change of scan '6-beam': beams.focus_distance\.0 = -5.0: input"),
+            ("6-beam@probe=staring", "Invalid probe 'staring': that scan has no probe volume; write 'point' if none"),
             ("6-beam@probe=no-such-scan", "Invalid probe 'no-such-scan'"),
             ("7-beam@tilt_deg=1", "No preset '7-beam'"),
             ("pulsed-4-beam@opening_angle_deg=20", "lists its beams one by one"),
@@ -312,6 +314,21 @@ class TestFiles:
         with pytest.raises(InputError, match=message) as caught:
             load_scan(write(GOOD.replace(old, new, 1)))
         assert "\n" not in str(caught.value)
+
+    def test_what_a_file_lacks_may_be_given(self, write):
+        file = write(GOOD.replace("focus_distance = [100.0]", ""))
+        with pytest.raises(InputError, match="has no focus_distance"):
+            load_scan(file)
+        assert load_scan(file, focus_distance=80.0).focus_distance.tolist() == [80.0, 80.0]
+
+    def test_a_fault_of_a_file_is_not_that_of_a_change(self, write):
+        for file, words in (
+            (GOOD.replace("= 2.0", "= -2.0"), r"timing\.scan_duration = -2\.0"),
+            (GOOD.replace("[beams]", "mounting = 3\n[beams]"), "mounting = 3"),
+        ):
+            for change in ({}, {"focus_distance": 80.0}, {"tilt_deg": 1.0}, {"focus_distance": -1.0}):
+                with pytest.raises(InputError, match=f"^Invalid scan file .*mine.toml': {words}"):
+                    load_scan(write(file), **change)
 
     def test_a_probe_in_a_file(self, write):
         scan = load_scan(write(GOOD + '[probe]\nkind = "pulsed"\ngate_length = 30.0\n'))

@@ -16,7 +16,7 @@ from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_changes import split_changes
 from bayes_rs.models import find_model
-from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml, shown
+from bayes_rs.toml_file import Size, Table, Text, first_fault, invalid_file, read_toml, shown
 
 MOST_BEAMS = 10_000
 """Beams of a scan, all planes together: the covariance of their noise has as many rows, and fills 0.8 GB."""
@@ -249,33 +249,35 @@ def load_scan(
     """
     base, changes = split_changes(name)
     if changes:
-        arguments = {
-            "opening_angle_deg": opening_angle_deg,
-            "focus_distance": focus_distance,
-            "tilt_deg": tilt_deg,
-            "yaw_deg": yaw_deg,
-            "probe": probe,
-        }
-        for key, value in arguments.items():
-            if value is not None and key in changes:
+        given = _given(
+            opening_angle_deg=opening_angle_deg,
+            focus_distance=focus_distance,
+            tilt_deg=tilt_deg,
+            yaw_deg=yaw_deg,
+            probe=probe,
+        )
+        for key in given:
+            if key in changes:
                 raise InputError(f"Invalid scan {str(name)!r}: {key} is also given as an option; give it once.")
-        given = {key: value for key, value in arguments.items() if value is not None}
         scan = load_scan(base, **{**given, **changes})
         return replace(scan, name=f"{scan.name}@{str(name).rpartition('@')[2]}")
     path = find_model(name, "scans")
     table = _read_table(path)
-    overrides: dict[str, dict[str, Any]] = {
-        "beams": {"opening_angle_deg": opening_angle_deg, "focus_distance": _as_list(focus_distance)},
-        "mounting": {"tilt_deg": tilt_deg, "yaw_deg": yaw_deg},
-    }
-    table = _merge(table, {part: {k: v for k, v in new.items() if v is not None} for part, new in overrides.items()})
     if opening_angle_deg is not None and table.get("beams", {}).get("pattern") == "list":
         raise InputError(
             f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not "
             "apply: write a TOML file with the beams that you want."
         )
-    scan = _build(path.stem, _validate(table, path))
+    new = {
+        "beams": _given(opening_angle_deg=opening_angle_deg, focus_distance=_as_list(focus_distance)),
+        "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
+    }
+    scan = _build(path.stem, _validate(table, path, {part: values for part, values in new.items() if values}))
     return scan if probe is None else replace(scan, probe=_probe_of(probe))
+
+
+def _given(**arguments: Any) -> dict[str, Any]:
+    return {name: value for name, value in arguments.items() if value is not None}
 
 
 def _probe_of(probe: str | Probe) -> Probe:
@@ -284,11 +286,14 @@ def _probe_of(probe: str | Probe) -> Probe:
     if probe == "point":
         return make_probe(probe)
     try:
-        return load_scan(probe).probe
+        found = load_scan(probe).probe
     except InputError as error:
         raise InputError(
             f"Invalid probe {probe!r}: it must be 'point', a scan that has one, or what make_probe returns. {error}"
         ) from error
+    if found == make_probe("point"):
+        raise InputError(f"Invalid probe {probe!r}: that scan has no probe volume; write 'point' if none is meant.")
+    return found
 
 
 def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
@@ -332,11 +337,18 @@ _MOST_BASES, _MOST_NAME = 8, 200
 _TAGS = ("cone", "rosette", "list", "point", "continuous-wave", "pulsed")  # pydantic names the kind of table, too
 
 
-def _validate(table: dict[str, Any], path: Path) -> _ScanFile:
+def _validate(table: dict[str, Any], path: Path, changes: dict[str, Any]) -> _ScanFile:
+    """Return a file with the values that were given in place of its own; say whose fault it is if it is not valid."""
+    can_be_changed = all(isinstance(table.get(part, {}), dict) for part in changes)
     try:
-        return _ScanFile.model_validate(table)
+        return _ScanFile.model_validate(_merge(table, changes) if can_be_changed else table)
     except ValidationError as error:
-        raise invalid_file("scan", path, error, leave_out=_TAGS) from error
+        try:
+            _ScanFile.model_validate(table)
+        except ValidationError as own:
+            raise invalid_file("scan", path, own, leave_out=_TAGS) from own
+        fault = first_fault(error, leave_out=_TAGS)
+        raise InputError(f"Invalid change of scan {path.stem!r}: {fault}.") from error
 
 
 def _build(name: str, spec: _ScanFile) -> Scan:

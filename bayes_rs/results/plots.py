@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import matplotlib as mpl
 import numpy as np
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray, check_array
+from bayes_rs._validation import FloatArray, as_numbers, check_array
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.results.result import check_result, flag_words, group
@@ -59,6 +59,30 @@ def find_record(result: xr.DataTree, record: int | str) -> int:
         words = flag_words(int(group(result, "sample_stats")["flag"].values[index]))
         raise InputError(f"Record {index} was not fitted ({words}): choose another one.")
     return index
+
+
+@overload
+def plot_corner(
+    result: xr.DataTree,
+    record: int | str = 0,
+    *,
+    truth: ArrayLike | None = None,
+    limits: ArrayLike | None = None,
+    title: str | None = None,
+    figure: None = None,
+) -> Figure: ...
+
+
+@overload
+def plot_corner(
+    result: xr.DataTree,
+    record: int | str = 0,
+    *,
+    truth: ArrayLike | None = None,
+    limits: ArrayLike | None = None,
+    title: str | None = None,
+    figure: FigureBase,
+) -> FigureBase: ...
 
 
 def plot_corner(
@@ -158,11 +182,9 @@ def known_stresses(truth: ArrayLike, n_record: int) -> FloatArray:
     InputError
         If the shape is neither, an entry is not finite, or a variance is below zero.
     """
-    given = np.asarray(truth, dtype=np.float64)
-    if given.ndim == 1:
-        known = np.broadcast_to(check_array(given, (6,), what="truth"), (n_record, 6))
-    else:
-        known = check_array(given, (n_record, 6), what="truth")
+    given = as_numbers(truth, what="truth")
+    shape = (6,) if given.ndim == 1 else (n_record, 6)
+    known = np.broadcast_to(check_array(given, shape, what="truth"), (n_record, 6))
     negative = np.argwhere(known[:, :3] < 0.0)
     if len(negative):
         record, index = negative[0].tolist()
