@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -31,6 +31,57 @@ SONIC_VERSION = 1
 
 DEFAULT_SEED = 1
 """Seed of the shipped noise, and the default of `calibrate`."""
+
+
+@overload
+def calibrate(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    *,
+    wind_speed: float,
+    duration: float = 600.0,
+    yaw_deg: float | None = None,
+    method: str = "theory",
+    n_boxes: int = 100,
+    seed: int | np.random.Generator = DEFAULT_SEED,
+    cache: bool | str | Path = True,
+    sonic: bool = False,
+    progress: bool | None = None,
+) -> NoiseModel: ...
+
+
+@overload
+def calibrate(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    *,
+    wind_speed: Sequence[float],
+    duration: float = 600.0,
+    yaw_deg: float | Sequence[float] | None = None,
+    method: str = "theory",
+    n_boxes: int = 100,
+    seed: int | np.random.Generator = DEFAULT_SEED,
+    cache: bool | str | Path = True,
+    sonic: bool = False,
+    progress: bool | None = None,
+) -> NoiseBank: ...
+
+
+@overload
+def calibrate(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    *,
+    wind_speed: float | Sequence[float],
+    duration: float = 600.0,
+    yaw_deg: Sequence[float],
+    method: str = "theory",
+    n_boxes: int = 100,
+    seed: int | np.random.Generator = DEFAULT_SEED,
+    cache: bool | str | Path = True,
+    sonic: bool = False,
+    progress: bool | None = None,
+) -> NoiseBank: ...
 
 
 def calibrate(

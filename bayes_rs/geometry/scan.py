@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,6 +111,24 @@ class Scan:
     source: str = ""
     file_format: Mapping[str, Any] = field(default_factory=dict)
     probe: Probe = field(default_factory=PointProbe)
+
+    if TYPE_CHECKING:  # what it holds are arrays, what it takes need not be
+
+        def __init__(
+            self,
+            name: str,
+            beam_direction: ArrayLike,
+            focus_distance: ArrayLike,
+            beam_time: ArrayLike,
+            scan_duration: float,
+            beam: ArrayLike = ...,
+            tilt: float = 0.0,
+            yaw: float = 0.0,
+            title: str = "",
+            source: str = "",
+            file_format: Mapping[str, Any] = ...,
+            probe: Probe = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""

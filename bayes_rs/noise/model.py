@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -111,6 +111,28 @@ class NoiseModel:
     details: Mapping[str, Any] = field(default_factory=dict)
     sonic_covariance: FloatArray | None = None
     sonic_beam_covariance: FloatArray | None = None
+
+    if TYPE_CHECKING:  # what it holds are arrays, what it takes need not be
+
+        def __init__(
+            self,
+            bias: ArrayLike,
+            gain: ArrayLike,
+            covariance: ArrayLike,
+            beam: ArrayLike,
+            scan_name: str,
+            scan_geometry: Mapping[str, Any],
+            wind_speed: float,
+            yaw: float,
+            duration: float,
+            turbulence: MannTurbulence,
+            method: str,
+            n_realizations: float = ...,
+            standard_error: ArrayLike | None = None,
+            details: Mapping[str, Any] = ...,
+            sonic_covariance: ArrayLike | None = None,
+            sonic_beam_covariance: ArrayLike | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
