@@ -137,6 +137,8 @@ def run_processes_children():
 @pytest.fixture(scope="module")
 def client():
     with (
+        # it closes for good what is not there 15 s after a death: a worker, say, that a later test has just killed
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "1 hour"}),
         distributed.LocalCluster(processes=True, n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
         distributed.Client(cluster) as found,
     ):

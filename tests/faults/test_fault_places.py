@@ -1,6 +1,7 @@
 """Places where nothing can be written, and names that nobody expects."""
 
 import os
+import traceback
 
 import pytest
 from fault_scenes import RECORDS, complaint, run
@@ -57,6 +58,8 @@ def as_somebody_else(work):
             if os.getuid() == 0:
                 os.setuid(65534)
             code = work()
+        except BaseException:  # noqa: BLE001 - the parent sees only the code
+            traceback.print_exc()
         finally:
             os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
