@@ -1,4 +1,4 @@
-"""One process at a time for a folder that is filled part by part, by a lock that the system frees with its process."""
+"""One process at a time writes an output folder, by a lock that the system frees with its process."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -262,7 +262,14 @@ def _plain_cell(value: Any) -> Any:
     return f"'{text}" if value.startswith(_FORMULA) else text
 
 
+def _check_name(final: Path) -> None:
+    """Raise what the system says of a name that cannot be; from Python 3.14 on, `exists` says no and nothing more."""
+    with suppress(FileNotFoundError, NotADirectoryError):
+        final.lstat()
+
+
 def _check_no_file(final: Path, *, overwrite: bool) -> None:
+    _check_name(final)
     if final.is_dir():
         raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
     if final.exists() and not overwrite:
@@ -287,6 +294,7 @@ def check_output_folder(path: str | Path, *, overwrite: bool = False) -> None:
 
 
 def _check_free(final: Path, *, overwrite: bool) -> None:
+    _check_name(final)
     if final.is_symlink():
         raise InputError(f"Cannot write the output folder {str(final)!r}: it is a link; give the folder itself.")
     if not final.exists():

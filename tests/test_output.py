@@ -126,8 +126,11 @@ class TestFolder:
         assert list(tmp_path.iterdir()) == []
 
     def test_a_name_that_is_too_long_is_refused(self, tmp_path):
-        with pytest.raises(InputError, match="Cannot write the output folder"):
+        with pytest.raises(InputError, match=r"Cannot write the output folder .*: File name too long; give"):
             output_folder(tmp_path / ("a" * 300)).__enter__()
+        with pytest.raises(InputError, match=r"Cannot write '.*: File name too long; give"):
+            output_file(tmp_path / ("a" * 300)).__enter__()
+        assert list(tmp_path.iterdir()) == []
 
 
 class TestFailureInsideTheBlock:

@@ -39,7 +39,7 @@ class TestCampaign:
     def test_other_deviations_are_another_campaign(self, records, tmp_path):
         brs.fit_campaign(records, SCAN, tmp_path / "out", nuisances=OWN, **OPTIONS)
         other = records.assign(yaw_sd=records["yaw_sd"] + 1.0)
-        with pytest.raises(brs.InputError, match="is of a run with other data"):
+        with pytest.raises(brs.InputError, match="is of a run that differs in records"):
             brs.fit_campaign(other, SCAN, tmp_path / "out", nuisances=OWN, resume=True, **OPTIONS)
 
 
