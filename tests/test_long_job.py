@@ -19,6 +19,7 @@ from bayes_rs.campaigns import campaign_plan, record_store, tables
 from bayes_rs.campaigns.record_store import store_records
 from bayes_rs.campaigns.workers import connect
 from bayes_rs.jobs.long_job import run_long_fit
+from bayes_rs.output import output_folder, write_run
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -163,6 +164,18 @@ class TestInterruptions:
         ):
             with pytest.raises(InputError, match=f"is of a run that differs in {what}, so it cannot be resumed"):
                 run(files, whole, noise, resume=True, **other)
+
+    def test_a_file_that_is_not_there_leaves_no_folder_and_replaces_none(self, files, noise, tmp_path):
+        for name in ("no.csv", "no*.csv"):
+            with pytest.raises(InputError, match="no"):
+                run(files / name, tmp_path / "out", noise)
+        assert not (tmp_path / "out").exists()
+        with output_folder(tmp_path / "out") as folder:
+            write_run(folder, {"n": "old"})
+        with pytest.raises(InputError, match="no"):
+            run(files / "no.csv", tmp_path / "out", noise, overwrite=True)
+        assert "old" in (tmp_path / "out" / "run.json").read_text()
+        assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
     def test_bad_options_are_refused_before_a_folder_is_made(self, files, noise, tmp_path):
         for other in ({"draws": "all"}, {"prior": "strong"}, {"workers": 0}, {"target": "truth"}):

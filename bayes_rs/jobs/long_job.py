@@ -34,6 +34,8 @@ from bayes_rs.jobs.job_options import JobOptions
 from bayes_rs.jobs.job_words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.registry import SUFFIXES
 from bayes_rs.records.report import describe_report
 from bayes_rs.results.result import flag_words
 
@@ -298,6 +300,7 @@ def run_folder_fit(
         **asked.for_key(given),
     )
     key = digest(key_parts)
+    find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
     with locked(output):
         if resume and not overwrite:
             check_versions(output)
