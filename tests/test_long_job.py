@@ -166,13 +166,13 @@ class TestInterruptions:
                 run(files, whole, noise, resume=True, **other)
 
     def test_a_file_that_is_not_there_leaves_no_folder_and_replaces_none(self, files, noise, tmp_path):
-        for name in ("no.csv", "no*.csv"):
-            with pytest.raises(InputError, match="no"):
+        for name, words in (("no.csv", "does not exist: check its path"), ("no*.csv", "matches no file")):
+            with pytest.raises(InputError, match=words):
                 run(files / name, tmp_path / "out", noise)
         assert not (tmp_path / "out").exists()
         with output_folder(tmp_path / "out") as folder:
             write_run(folder, {"n": "old"})
-        with pytest.raises(InputError, match="no"):
+        with pytest.raises(InputError, match="does not exist"):
             run(files / "no.csv", tmp_path / "out", noise, overwrite=True)
         assert "old" in (tmp_path / "out" / "run.json").read_text()
         assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []

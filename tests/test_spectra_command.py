@@ -65,8 +65,7 @@ def test_its_records_go_into_a_fit(tmp_path, common):
     np.testing.assert_allclose(records["length_scale"], expected, rtol=1e-12)
     assert 10.0 < pooled < 25.0
     found = np.unique(records["instrument_noise"].values)
-    # one number for all: its standard error is 0.2 of the signal's variance at most, over the root of 20 records
-    assert found == pytest.approx([added], abs=0.05)
+    assert found == pytest.approx([added], abs=0.045)  # five of its standard deviations, as with_instrument_noise says
     uu = {}
     for name, more in (("with", ["--instrument-noise", "records"]), ("without", [])):
         target = tmp_path / name
@@ -80,7 +79,8 @@ def test_its_records_go_into_a_fit(tmp_path, common):
         assert scales[0] <= expected.min() * (1.0 + 1e-6)
         assert scales[-1] >= expected.max() * (1.0 - 1e-6)
     lost = found[0] / np.cos(np.deg2rad(15.0)) ** 2
-    assert uu["without"] - uu["with"] == pytest.approx(lost, abs=0.1)
+    # a tenth: what vv takes of it and medians of skewed posteriors; it came out 1 to 2 % below
+    assert uu["without"] - uu["with"] == pytest.approx(lost, rel=0.1)
 
 
 def test_the_measured_day(iea_folder):
