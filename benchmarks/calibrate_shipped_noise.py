@@ -17,7 +17,7 @@ import numpy as np
 from bayes_rs.calibration.calibrating import DEFAULT_SEED, noise_from_boxes
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import load_turbulence
 
@@ -65,7 +65,7 @@ def main() -> None:
     write(bank, options.folder / "pulsed-4-beam-point.nc")
 
 
-def write(noise: NoiseModel | NoiseBank, file: Path) -> None:
+def write(noise: Noise, file: Path) -> None:
     """Write one file and say how good it is."""
     noise.save(file, overwrite=True)
     for model in noise.models:

@@ -16,7 +16,7 @@ from pathlib import Path
 from year import make_year
 
 import bayes_rs as brs
-from bayes_rs.campaigns.tables import part_files
+from bayes_rs.fits.tables import part_files
 
 
 def main() -> None:

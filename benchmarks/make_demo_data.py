@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 import bayes_rs as brs
+from bayes_rs.cli.demo_job import SCENES, WIND_SPEED
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.demo import SCENES, WIND_SPEED
 
 N_RECORD = 6
 SEED = 20

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 import bayes_rs as brs
-from bayes_rs.posteriors.batch import Batch, FitOptions, make_posterior
+from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample

@@ -20,8 +20,8 @@ import pyarrow as pa
 import pyarrow.csv
 
 import bayes_rs as brs
-from bayes_rs.campaigns.record_store import store_records
-from bayes_rs.jobs.long_job import run_folder_fit
+from bayes_rs.fits.long_job import run_folder_fit
+from bayes_rs.records.record_store import store_records
 
 START = np.datetime64("2020-09-04", "ns")
 RECORDS = 144

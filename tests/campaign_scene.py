@@ -10,7 +10,7 @@ import pandas as pd
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import NotPositiveDefiniteError, WeakPrior, load_scan
-from bayes_rs.campaigns import campaign, campaign_parts, campaign_plan
+from bayes_rs.fits import campaign, campaign_parts, campaign_plan
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)

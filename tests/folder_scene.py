@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from bayes_rs import MannTurbulence, calibrate, load_scan, simulate
-from bayes_rs.campaigns import record_store
-from bayes_rs.jobs.long_job import run_folder_fit
+from bayes_rs.fits.long_job import run_folder_fit
+from bayes_rs.records import record_store
 
 SCAN = load_scan("2-beam")
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)

@@ -33,8 +33,8 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
-from bayes_rs.campaigns import campaign, campaign_parts, campaign_plan, tables
-from bayes_rs.results.result import FLAGS, group
+from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
+from bayes_rs.fits.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -263,7 +263,7 @@ class TestFolder:
             "import resource, sys\n"
             f"sys.path.insert(0, {str(TESTS)!r})\n"
             "from campaign_scene import OPTIONS, SCAN, make_records\n"
-            "from bayes_rs.campaigns import campaign, campaign_plan\n"
+            "from bayes_rs.fits import campaign, campaign_plan\n"
             "campaign_plan.PART_RECORDS = 64\n"
             "campaign.fit_campaign(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', **OPTIONS)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"

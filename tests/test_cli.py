@@ -428,14 +428,14 @@ class TestLongFit:
         def give_up(*_args, **_options):
             raise WorkerError("The worker processes died 4 times in a row.")
 
-        monkeypatch.setattr("bayes_rs.campaigns.campaign.run_serial", give_up)
+        monkeypatch.setattr("bayes_rs.fits.campaign.run_serial", give_up)
         code, _, err = long_fit("--draws", "none")
         assert code == 2
         assert err[-2] == "bayes-rs: The worker processes died 4 times in a row."
 
     def test_many_records_keep_no_draws_and_say_so(self, long_fit, monkeypatch, tmp_path):
-        monkeypatch.setattr("bayes_rs.jobs.long_job.MOST_FULL", 1)
-        monkeypatch.setattr("bayes_rs.jobs.long_job.MOST_CSV", 1)
+        monkeypatch.setattr("bayes_rs.fits.long_job.MOST_FULL", 1)
+        monkeypatch.setattr("bayes_rs.fits.long_job.MOST_CSV", 1)
         code, _, err = long_fit()
         assert code == 0
         assert "2 records: more than 1, so no draws and no figures are kept; --draws float32 keeps the draws" in err
@@ -453,7 +453,7 @@ class TestLongFit:
         assert not (tmp_path / "out").exists()
 
     def test_failures_are_listed_up_to_a_number(self, fit, monkeypatch, tmp_path):
-        monkeypatch.setattr("bayes_rs.jobs.long_job._LISTED", 1)
+        monkeypatch.setattr("bayes_rs.fits.long_job._LISTED", 1)
         table = velocities()
         table["radial_velocity"] = np.nan
         code, out, err = fit(write(table, tmp_path / "none.csv"), "--draws", "none")

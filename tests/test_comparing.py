@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from bayes_rs import InputError, compare, load_turbulence, plot_comparison
+from bayes_rs.design.compare_job import run_compare
 from bayes_rs.design.comparing import COLUMNS
-from bayes_rs.jobs.compare_job import run_compare
 
 FLOW = load_turbulence("fu-2022")
 

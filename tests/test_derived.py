@@ -14,7 +14,7 @@ from bayes_rs import (
     radial_variance,
     rotate_stress,
 )
-from bayes_rs.results.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
+from bayes_rs.fits.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
 
 ISOTROPIC = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
 ONE_COMPONENT = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]

@@ -7,7 +7,7 @@ import pytest
 from scenes import plain_noise
 
 from bayes_rs import Nuisances, load_noise, load_scan, make_prior
-from bayes_rs.campaigns.digest import digest
+from bayes_rs.fits.digest import digest
 
 
 @dataclass(frozen=True)

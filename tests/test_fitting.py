@@ -17,13 +17,13 @@ from bayes_rs import (
     noise_for_records,
     simulate,
 )
+from bayes_rs.fits.fitting import fit
+from bayes_rs.fits.result import FLAGS, flag_words
+from bayes_rs.fits.summarizing import summary
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseBank
 from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
-from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import FLAGS, flag_words
-from bayes_rs.results.summarizing import summary
 
 
 def simulated(name, n_record, prior, seed, **overrides):

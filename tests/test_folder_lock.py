@@ -15,7 +15,7 @@ import pytest
 from campaign_scene import N_RECORD, OPTIONS, PART, SCAN, make_records
 
 from bayes_rs import InputError, fit_campaign, read_summary
-from bayes_rs.campaigns import campaign_plan
+from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.folder_lock import locked
 from bayes_rs.output import check_output_folder, output_folder, write_run
 
@@ -31,7 +31,7 @@ WORK = (
     "import sys, time\n"
     f"sys.path.insert(0, {str(TESTS)!r})\n"
     "import campaign_scene\n"
-    "from bayes_rs.campaigns import campaign, campaign_plan\n"
+    "from bayes_rs.fits import campaign, campaign_plan\n"
     "campaign_plan.PART_RECORDS = campaign_scene.PART\n"
     "def slowly(shared, part):\n"
     "    if part.index == 2:\n"

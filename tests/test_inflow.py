@@ -6,13 +6,13 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, Nuisances, WeakPrior, fit, fit_campaign, inflow_confounding, load_scan, radial_variance
+from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.inflow import gradient_columns
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.model import NoiseBank
-from bayes_rs.posteriors.batch import Batch, FitOptions, make_posterior
 from bayes_rs.posteriors.nuisance import RecordNuisances
 
 NEUTRAL = [1.0, 0.5, 0.27, 0.0, -0.15, 0.0]

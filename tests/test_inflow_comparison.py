@@ -210,6 +210,6 @@ def test_what_cannot_be_compared_is_refused(change, words):
 
 def test_weights_that_cannot_be_trusted_are_said_so(monkeypatch):
     records, scan, noise = scene("6-beam", 0.0, 1)
-    monkeypatch.setattr("bayes_rs.results.inflow_comparison.PARETO_K_LIMIT", -np.inf)
+    monkeypatch.setattr("bayes_rs.fits.inflow_comparison.PARETO_K_LIMIT", -np.inf)
     table = compare_inflow(records, scan, noise=noise, nuisances=BOTH, prior=WeakPrior(), seed=1, leave_one_out=False)
     assert table["verdict"][0] == "weights uneven: not to be trusted"

@@ -15,11 +15,12 @@ import xarray as xr
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
 
 from bayes_rs import InputError, MissingExtraError, make_records, read_radial_velocity, read_summary
-from bayes_rs.campaigns import campaign_plan, record_store, tables
-from bayes_rs.campaigns.record_store import store_records
-from bayes_rs.campaigns.workers import connect
-from bayes_rs.jobs.long_job import run_long_fit
+from bayes_rs.fits import plan as campaign_plan
+from bayes_rs.fits import record_store, tables
+from bayes_rs.fits.long_job import run_long_fit
+from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
+from bayes_rs.records.record_store import store_records
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent

@@ -22,13 +22,13 @@ from format_files import compress, series_of
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
-from bayes_rs.jobs import fit_job
-from bayes_rs.jobs.fit_job import open_result
-from bayes_rs.jobs.record_files import open_records
+from bayes_rs.fits import fit_job
+from bayes_rs.fits.fit_job import open_result
 from bayes_rs.noise.reading import load_noise
 from bayes_rs.readers import netcdf_guard, read_radial_velocity
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault
+from bayes_rs.records.record_files import open_records
 from bayes_rs.report import folder as report_folder
 
 SIX = six_beam(45.0, step=1.0)

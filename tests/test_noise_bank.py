@@ -13,12 +13,12 @@ from bayes_rs.calibration.calibrating import METHODS
 from bayes_rs.calibration.choice import noise_for_records
 from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError
+from bayes_rs.fits import fitting
+from bayes_rs.fits.fitting import fit
 from bayes_rs.geometry.probe import ContinuousWaveProbe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.model import NoiseBank, NoiseModel
 from bayes_rs.noise.theory import theory_noise
-from bayes_rs.results import fitting
-from bayes_rs.results.fitting import fit
 from bayes_rs.turbulence.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 

@@ -265,7 +265,7 @@ class TestYawOfRecords:
         records["flag"].values[1, 2] = 1  # one that goes the other way through a batch
         options = {"noise": noise, "seed": 1, "sampler": sampler, "target_ess": 100, "nuisances": self.OWN}
         whole = fit(records, scan, **options)
-        monkeypatch.setattr("bayes_rs.results.fitting._CHUNK", 2)
+        monkeypatch.setattr("bayes_rs.fits.fitting._CHUNK", 2)
         parts = fit(records, scan, **options)
         for name in ("stress", "yaw_error"):
             np.testing.assert_array_equal(whole["posterior"][name].values, parts["posterior"][name].values)

@@ -10,11 +10,11 @@ from scenes import records_of
 
 import bayes_rs as brs
 from bayes_rs import cli
+from bayes_rs.design.optimize_job import plot_optimum, run_optimize, summary_lines
 from bayes_rs.design.scan_criteria import _FastGain, _FastNoise, local_prior_covariance, make_criterion, trace_criterion
 from bayes_rs.design.scan_limits import FEASIBLE, free_arcs
 from bayes_rs.design.scan_optimum import SAME_OPTIMUM
 from bayes_rs.geometry.scan_file import cone_direction
-from bayes_rs.jobs.optimize_job import plot_optimum, run_optimize, summary_lines
 from bayes_rs.models import preset_names
 from bayes_rs.noise.theory import probe_transfer
 

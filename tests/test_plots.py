@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, fit, load_scan, plot_corner, plot_stresses
-from bayes_rs.results.plots import (
+from bayes_rs.plot.plots import (
     POSTERIOR_COLOUR,
     PRIOR_COLOUR,
     TRUTH_COLOUR,

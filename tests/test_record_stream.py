@@ -11,10 +11,10 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayes_rs.campaigns.stream import StreamState, add_chunk, stream_records
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.records.making import make_records
+from bayes_rs.records.stream import StreamState, add_chunk, stream_records
 
 START = np.datetime64("2020-09-03T19:03:20", "ns")  # within a record
 SCAN = load_scan("6-beam")

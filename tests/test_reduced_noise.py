@@ -7,11 +7,11 @@ import pytest
 from scenes import draw_variances, plain_noise
 
 from bayes_rs import InputError, MannTurbulence, WeakPrior, load_scan, theory_bank
+from bayes_rs.fits.batch import Batch, FitOptions, fit_batch, make_posterior
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import reduced_log_normal_likelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.model import NoiseBank
-from bayes_rs.posteriors.batch import Batch, FitOptions, fit_batch, make_posterior
 from bayes_rs.posteriors.nuisance import Nuisances
 
 OPTIONS = FitOptions(

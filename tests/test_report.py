@@ -16,6 +16,8 @@ from report_scene import EVIL, demo_records, evil_folder, result_folder, table_f
 
 from bayes_rs import STRESSES, InputError, open_result, read_summary, summary, write_report
 from bayes_rs.cli.report_command import report
+from bayes_rs.fits.derived import lumley_coordinates
+from bayes_rs.fits.result import FLAGS, group
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.folder import NUMBERS, read_folder
@@ -23,8 +25,6 @@ from bayes_rs.report.packing import MISSING, pack, pack_rows, pack_steps, plain
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
 from bayes_rs.report.words import FLAG_MEANINGS
-from bayes_rs.results.derived import lumley_coordinates
-from bayes_rs.results.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
 HALF_STEP = 0.5 / 32767 * (1.0 + 1e-6)  # of the largest number in a row; and the rounding of its unit to float32

@@ -27,8 +27,9 @@ from bayes_rs import (
     simulate,
     write_report,
 )
-from bayes_rs.campaigns import campaign_plan, record_store
-from bayes_rs.campaigns.campaign_parts import ALONG, ALONG_SHAPE
+from bayes_rs.fits import plan as campaign_plan
+from bayes_rs.fits import record_store
+from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
 from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, WeakPrior, fit, flag_words, load_scan
-from bayes_rs.results.result import FLAGS, N_PRIOR_DRAW, check_result, group
+from bayes_rs.fits.result import FLAGS, N_PRIOR_DRAW, check_result, group
 
 
 @pytest.fixture(scope="module")

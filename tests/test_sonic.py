@@ -11,10 +11,10 @@ from scipy import stats
 from bayes_rs import calibrate, fit, load_noise, load_scan, load_turbulence, noise_for_records
 from bayes_rs.calibration.bank import theory_bank
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.fits.fit_job import run_fit
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import is_realizable, pack_stress, unpack_stress
-from bayes_rs.jobs.fit_job import run_fit
 from bayes_rs.noise.theory import theory_noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sonic import CLIP_LIMIT, SonicFactor, factored_tensor, match_factor

@@ -8,8 +8,8 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 import bayes_rs as brs
-from bayes_rs.posteriors.batch import Batch
-from bayes_rs.results.fitting import fit_options
+from bayes_rs.fits.batch import Batch
+from bayes_rs.fits.fitting import fit_options
 from bayes_rs.simulation.lines import LineMaker
 from bayes_rs.spectra.structure_noise import intercept_weights, structure_covariance, structure_function
 

@@ -6,10 +6,10 @@ import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, FlatPrior, InputError, WeakPrior, fit, load_scan, summary
+from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import pack_stress, rotate_stress
-from bayes_rs.results.result import FLAGS
-from bayes_rs.results.summarizing import COLUMNS
 
 DERIVED = ("ti", "tke", "friction_velocity", "anisotropy_2", "anisotropy_3")
 

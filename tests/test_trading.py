@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 from bayes_rs import InputError, compare, enough_beams, load_scan, load_turbulence, plot_trade_off, trade_off
 from bayes_rs.cli import commands
+from bayes_rs.design.trade_job import run_trade_off
 from bayes_rs.design.trading import COLUMNS, _explained_records, cone_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.jobs.trade_job import run_trade_off
 from bayes_rs.noise.theory import theory_noise
 
 FLOW = load_turbulence("fu-2022")

@@ -25,7 +25,7 @@ from worker_jobs import (
 )
 
 from bayes_rs import InputError, WorkerError
-from bayes_rs.campaigns.workers import run_dask, run_processes, run_serial
+from bayes_rs.fits.workers import run_dask, run_processes, run_serial
 
 pytestmark = pytest.mark.slow
 
@@ -111,7 +111,7 @@ class TestProcesses:
         script = (
             f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
             "from pathlib import Path\n"
-            "from bayes_rs.campaigns.workers import run_processes\n"
+            "from bayes_rs.fits.workers import run_processes\n"
             "from worker_jobs import log_and_sleep\n"
             f"list(run_processes(log_and_sleep, Path({str(tmp_path)!r}), list(range(12)), 2))\n"
         )

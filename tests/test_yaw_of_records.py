@@ -11,11 +11,11 @@ from campaign_scene import NOISE, SCAN, make_records
 from click.testing import CliRunner
 
 import bayes_rs as brs
-from bayes_rs.campaigns import campaign_plan
 from bayes_rs.cli import commands
-from bayes_rs.jobs.fit_job import run_fit
-from bayes_rs.jobs.record_yaw import with_yaw_sd
-from bayes_rs.jobs.sensitivity_job import run_sensitivity
+from bayes_rs.fits import plan as campaign_plan
+from bayes_rs.fits.fit_job import run_fit
+from bayes_rs.fits.record_yaw import with_yaw_sd
+from bayes_rs.fits.sensitivity_job import run_sensitivity
 from bayes_rs.posteriors.nuisance import Nuisances
 
 OWN = Nuisances(yaw_sd_deg="records")

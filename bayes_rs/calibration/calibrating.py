@@ -17,7 +17,7 @@ from bayes_rs.calibration.box_noise import box_ingredients, noise_from_boxes
 from bayes_rs.calibration.store import cache_folder, find_shipped_noise, from_cache, renamed, to_cache
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
 from bayes_rs.noise.theory import theory_noise
 from bayes_rs.progress import progress as progress_bar
 from bayes_rs.simulation.virtual import RecordState
@@ -97,7 +97,7 @@ def calibrate(
     cache: bool | str | Path = True,
     sonic: bool = False,
     progress: bool | None = None,
-) -> NoiseModel | NoiseBank:
+) -> Noise:
     """Calibrate the noise of a scan's beam variances.
 
     Parameters

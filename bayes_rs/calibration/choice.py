@@ -15,7 +15,7 @@ from bayes_rs.calibration.calibrating import METHODS, calibrate, noise_at_states
 from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -35,7 +35,7 @@ def noise_for_records(
     sonic: bool = False,
     length_scale: Sequence[float] | None = None,
     progress: bool | None = None,
-) -> tuple[NoiseModel | NoiseBank, str]:
+) -> tuple[Noise, str]:
     """Return noise for the wind speeds and directions of records.
 
     Parameters
@@ -122,7 +122,7 @@ def _from_theory(
     progress: bool | None,
     sonic: bool,
     length_scale: Sequence[float] | None,
-) -> tuple[NoiseModel | NoiseBank, str]:
+) -> tuple[Noise, str]:
     """Return shipped noise if it holds all records, else a bank for their range; and which of the two it is."""
     speeds, yaws = np.clip(speed, *_SPEEDS), np.rad2deg(yaw)
     if length_scale is not None:
@@ -162,7 +162,7 @@ def _from_theory(
 
 def _from_boxes(
     scan: Scan, turbulence: MannTurbulence, speed: FloatArray, yaw: FloatArray, duration: float, progress: bool | None
-) -> tuple[NoiseModel | NoiseBank, str]:
+) -> tuple[Noise, str]:
     """Return shipped noise where it is near the records, else calibrated noise; and which of the two it is."""
     shipped = find_shipped_noise(scan, turbulence, duration=duration, method="boxes")
     if shipped is not None and np.mean(_far(shipped, speed, yaw)) <= 0.1:
@@ -182,7 +182,7 @@ def _from_boxes(
     return noise, "calibrated"
 
 
-def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence) -> str:
+def _words(kept: str, noise: Noise, turbulence: MannTurbulence) -> str:
     models = noise.models
     words = (
         f"noise: {kept}, {turbulence.name}, method {models[0].method}, {len(models)} state{'s' * (len(models) > 1)} "
@@ -199,7 +199,7 @@ def _words(kept: str, noise: NoiseModel | NoiseBank, turbulence: MannTurbulence)
     return words
 
 
-def _far(noise: NoiseModel | NoiseBank, speed: FloatArray, yaw: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _far(noise: Noise, speed: FloatArray, yaw: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Tell which records are farther from every state than half a step of the shipped bank."""
     bank = noise if isinstance(noise, NoiseBank) else NoiseBank((noise,))
     speed_used, yaw_used, _ = bank.locate(speed, yaw)

@@ -13,7 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.models import models_folder
 from bayes_rs.noise.file import is_sealed
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
 from bayes_rs.noise.reading import load_noise
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -55,7 +55,7 @@ def find_shipped_noise(
     yaw: float | None = None,
     *,
     method: str = "theory",
-) -> NoiseModel | NoiseBank | None:
+) -> Noise | None:
     """Find the noise that is shipped in ``models/noise`` for a scan.
 
     Parameters
@@ -112,7 +112,7 @@ def find_shipped_noise(
     return None
 
 
-def from_cache(file: Path, key: str) -> tuple[NoiseModel | NoiseBank | None, str | None]:
+def from_cache(file: Path, key: str) -> tuple[Noise | None, str | None]:
     """Read cached noise; a damaged file is reported, not raised.
 
     Parameters
@@ -145,7 +145,7 @@ def from_cache(file: Path, key: str) -> tuple[NoiseModel | NoiseBank | None, str
     return noise, None
 
 
-def to_cache(noise: NoiseModel | NoiseBank, file: Path) -> None:
+def to_cache(noise: Noise, file: Path) -> None:
     """Write noise to the cache; where that cannot be done, log it and go on.
 
     Parameters
@@ -162,7 +162,7 @@ def to_cache(noise: NoiseModel | NoiseBank, file: Path) -> None:
         _log.warning("The noise cannot be cached and will be calculated again next time: %s", error)
 
 
-def renamed(noise: NoiseModel | NoiseBank, scan: Scan, turbulence: MannTurbulence) -> NoiseModel | NoiseBank:
+def renamed(noise: Noise, scan: Scan, turbulence: MannTurbulence) -> Noise:
     """Give found noise the names in use: a scan or a turbulence may be called differently than when it was made.
 
     Parameters
@@ -190,7 +190,7 @@ def renamed(noise: NoiseModel | NoiseBank, scan: Scan, turbulence: MannTurbulenc
 
 
 @lru_cache(maxsize=64)
-def _load(file: Path, _modified: int) -> NoiseModel | NoiseBank:
+def _load(file: Path, _modified: int) -> Noise:
     """Read a shipped file once: noise models never change."""
     return load_noise(file)
 

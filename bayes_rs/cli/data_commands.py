@@ -17,7 +17,7 @@ from bayes_rs.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from bayes_rs.noise.model import NoiseBank, NoiseModel
+    from bayes_rs.noise.model import Noise
 
 
 @click.command()
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=int, default=1, show_default=True)
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
-    from bayes_rs.jobs.demo import run_demo
+    from bayes_rs.cli.demo_job import run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
         click.echo(line)
@@ -152,7 +152,7 @@ def calibrate(
     click.echo(f"noise in {output}")
 
 
-def _noise_lines(noise: NoiseModel | NoiseBank) -> list[str]:
+def _noise_lines(noise: Noise) -> list[str]:
 
     models = noise.models
     return [

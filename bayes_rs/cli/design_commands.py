@@ -32,7 +32,7 @@ def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> Non
     SCAN is a name that `bayes-rs scans` lists or a TOML file, with changes after an @, such as
     6-beam@opening_angle_deg=30,focus_distance=49+98.
     """
-    from bayes_rs.jobs.compare_job import run_compare
+    from bayes_rs.design.compare_job import run_compare
 
     _, words = run_compare(scans, output, **options)
     for line in words:
@@ -67,7 +67,7 @@ def compare_command(scans: tuple[str, ...], output: Path, **options: Any) -> Non
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
 def trade_off_command(output: Path, overwrite: bool, **options: Any) -> None:
     """Expected interval widths of beams on a cone: opening angle, focus distance, number of beams, record length."""
-    from bayes_rs.jobs.trade_job import run_trade_off
+    from bayes_rs.design.trade_job import run_trade_off
 
     given = {name: value for name, value in options.items() if value != ()}  # what is not listed has the job's default
     run_trade_off(output, overwrite=overwrite, say=click.echo, **given)
@@ -128,7 +128,7 @@ def trade_off_command(output: Path, overwrite: bool, **options: Any) -> None:
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
 def optimize(output: Path, overwrite: bool, **options: Any) -> None:
     """Choose the directions of a scan's beams, within limits, so that they tell most about R."""
-    from bayes_rs.jobs.optimize_job import run_optimize
+    from bayes_rs.design.optimize_job import run_optimize
 
     for name in ("stresses", "weights", "yaw_deg"):
         options[name] = options[name] or None

@@ -25,8 +25,8 @@ from bayes_rs.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from bayes_rs.jobs.fit_job import Outcome
-    from bayes_rs.jobs.long_job import LongOutcome
+    from bayes_rs.fits.fit_job import Outcome
+    from bayes_rs.fits.long_job import LongOutcome
 
 EXIT_FLAGGED = 1
 _JOB_OPTIONS = (
@@ -127,8 +127,8 @@ def fit(
     FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote: of a year, one
     file a month, say.
     """
-    from bayes_rs.jobs.fit_job import run_fit
-    from bayes_rs.jobs.long_job import MOST_FULL, run_folder_fit, run_long_fit
+    from bayes_rs.fits.fit_job import run_fit
+    from bayes_rs.fits.long_job import MOST_FULL, run_folder_fit, run_long_fit
     from bayes_rs.output import check_output_folder
 
     if not resume:
@@ -233,7 +233,7 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
     """
     from contextlib import nullcontext
 
-    from bayes_rs.jobs.sensitivity_job import run_sensitivity, sensitivity_lines
+    from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
     from bayes_rs.output import output_file, write_csv
 
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
@@ -269,9 +269,9 @@ def sensitivity(files: tuple[Path, ...], output: Path | None, overwrite: bool, *
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
     """Draw the posterior of one record of a fit, with the outline of the prior."""
-    from bayes_rs.jobs.fit_job import open_result
+    from bayes_rs.fits.fit_job import open_result
     from bayes_rs.output import output_file
-    from bayes_rs.results.plots import plot_corner
+    from bayes_rs.plot.plots import plot_corner
 
     figure = plot_corner(open_result(folder), record)
     picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"

@@ -337,7 +337,7 @@ def given_records(files: tuple[Path, ...], scan: Scan) -> xr.Dataset | None:
     UsageError
         If the command line has options of reading, or of making records: they would have no effect.
     """
-    from bayes_rs.jobs.record_files import open_record_files
+    from bayes_rs.records.record_files import open_record_files
 
     made = open_record_files(files, scan)
     context = click.get_current_context()

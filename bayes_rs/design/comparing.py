@@ -14,6 +14,8 @@ from bayes_rs._validation import FloatArray, check_choice, check_count, check_po
 from bayes_rs.design.estimators import ESTIMATORS, estimate
 from bayes_rs.design.trial_records import even_normals, trial_records
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fitting import fit
+from bayes_rs.fits.result import group
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
@@ -23,8 +25,6 @@ from bayes_rs.noise.theory import sonic_moments, theory_noise
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.progress import progress
 from bayes_rs.records.making import make_records
-from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import group
 from bayes_rs.simulation.virtual import simulate
 from bayes_rs.turbulence.mann import MannTurbulence
 

@@ -14,7 +14,7 @@ from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 
 BoolArray = NDArray[np.bool_]
 
@@ -75,7 +75,7 @@ def estimate(
     *,
     method: str = "lsq",
     weights: str = "none",
-    noise: NoiseModel | NoiseBank | None = None,
+    noise: Noise | None = None,
     ratio_vv: float = IEC_RATIOS[0],
     ratio_ww: float = IEC_RATIOS[1],
     combinations: Mapping[str, ArrayLike] | None = None,
@@ -319,7 +319,7 @@ def _has_noise(records: xr.Dataset, part: slice, used: BoolArray, mean: FloatArr
 
 
 def _relative_covariance(
-    noise: NoiseModel | NoiseBank, records: xr.Dataset, part: slice, yaw: FloatArray, known: BoolArray
+    noise: Noise, records: xr.Dataset, part: slice, yaw: FloatArray, known: BoolArray
 ) -> tuple[FloatArray, int]:
     """Return K of each record, zeros where it is not known, and how many records are outside the bank."""
     relative = np.zeros((len(yaw), noise.n_beam, noise.n_beam))
@@ -366,7 +366,7 @@ def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
     return scan.select(records["beam"].values)
 
 
-def _checked_noise(records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank) -> NoiseModel | NoiseBank:
+def _checked_noise(records: xr.Dataset, scan: Scan, noise: Noise) -> Noise:
     """Check that the noise was made for the records; return that of their beams."""
     if "wind_speed" not in records or records["wind_speed"].dims != ("record",):
         raise InputError(

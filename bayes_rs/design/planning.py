@@ -9,7 +9,7 @@ import numpy as np
 from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.noise.theory import theory_noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN
@@ -161,7 +161,7 @@ def _noise_steps(noise: NoiseModel) -> list[Step]:
     ]
 
 
-def _bank(shipped: NoiseModel | NoiseBank | None) -> Step:
+def _bank(shipped: Noise | None) -> Step:
     """Say where the noise of records at other wind speeds and directions comes from."""
     what = "noise of records at other wind speeds and directions"
     if isinstance(shipped, NoiseBank) and shipped.interpolation_error is not None:

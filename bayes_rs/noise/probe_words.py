@@ -14,12 +14,12 @@ from bayes_rs.geometry.probe import make_probe
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.models import preset_names
 from bayes_rs.noise.bank import NoiseBank
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.model import Noise
 
 _MOST_STATES = 16  # of wind speed and direction, evenly chosen by direction: their noise is made for the line
 
 
-def probe_words(noise: NoiseModel | NoiseBank, wind_speed: ArrayLike, yaw: ArrayLike) -> str:
+def probe_words(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike) -> str:
     """Say which probe volume the noise counts with, and which part of the beams' variances it takes.
 
     Parameters
@@ -54,7 +54,7 @@ def probe_words(noise: NoiseModel | NoiseBank, wind_speed: ArrayLike, yaw: Array
     )
 
 
-def probe_loss(noise: NoiseModel | NoiseBank, wind_speed: ArrayLike, yaw: ArrayLike) -> FloatArray:
+def probe_loss(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike) -> FloatArray:
     """Return the part of each beam's variance that the probe volume takes, at the turbulence of the noise.
 
     Parameters

@@ -14,14 +14,14 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.noise.file import FILE_KIND, FILE_VERSION, is_sealed
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
 
 
-def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
+def load_noise(path: str | Path) -> Noise:
     """Read a noise model or a noise bank from the NetCDF file that `save` wrote.
 
     Parameters
@@ -73,7 +73,7 @@ def load_noise(path: str | Path) -> NoiseModel | NoiseBank:
         raise InputError(f"Noise file {str(file)!r} is damaged, {error} cannot be read: calibrate again.") from error
 
 
-def _from_dataset(dataset: xr.Dataset) -> NoiseModel | NoiseBank:
+def _from_dataset(dataset: xr.Dataset) -> Noise:
     one = "state" not in dataset.dims
     states = dataset.expand_dims("state") if one else dataset
     attributes = states.attrs

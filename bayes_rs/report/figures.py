@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.fits.derived import lumley_coordinates
+from bayes_rs.fits.fitting import MISFIT_LIMIT
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
 from bayes_rs.report.folder import FitFolder
 from bayes_rs.report.packing import pack, pack_rows, pack_steps, plain
 from bayes_rs.report.series import Series, time_axis
-from bayes_rs.results.derived import lumley_coordinates
-from bayes_rs.results.fitting import MISFIT_LIMIT
 
 DRAW_BYTES = 2_400_000
 """What the draws of all records may take of the page."""

@@ -17,23 +17,23 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.campaigns.campaign import PRIOR_FILE
-from bayes_rs.campaigns.campaign_parts import directions_of
-from bayes_rs.campaigns.draw_store import check_zarr
-from bayes_rs.campaigns.tables import part_files, read_summary, read_tables
 from bayes_rs.errors import InputError
+from bayes_rs.fits.campaign import PRIOR_FILE
+from bayes_rs.fits.direction_table import directions
+from bayes_rs.fits.draw_store import check_zarr
+from bayes_rs.fits.fit_job import POSTERIOR_FILE, open_result
+from bayes_rs.fits.parts import directions_of
+from bayes_rs.fits.result import group
+from bayes_rs.fits.summarizing import DIAGNOSTICS, summary
+from bayes_rs.fits.tables import part_files, read_summary, read_tables
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.jobs.fit_job import POSTERIOR_FILE, open_result
 from bayes_rs.models import preset_names
 from bayes_rs.output import RUN_FILE
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
-from bayes_rs.results.direction_table import directions
-from bayes_rs.results.result import group
-from bayes_rs.results.summarizing import DIAGNOSTICS, summary
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
 """Columns of the summary that the page shows."""

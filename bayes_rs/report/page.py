@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from bayes_rs.fits.derived import lumley_coordinates
+from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.words import FAILURES
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.jobs.job_words import FAILURES
 from bayes_rs.records.making import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
 from bayes_rs.report.folder import FitFolder
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
-from bayes_rs.results.derived import lumley_coordinates
-from bayes_rs.results.result import FLAGS
 
 MOST_FILES = 400
 """Files up to which each has a row of its own."""

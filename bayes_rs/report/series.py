@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.jobs.job_words import FAILURES
+from bayes_rs.fits.words import FAILURES
 from bayes_rs.report.folder import FitFolder
 
 MOST_RECORDS = 1000

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.report.folder import FitFolder
 from bayes_rs.report.tables import number
-from bayes_rs.results.direction_table import direction_words
 
 FLAG_MEANINGS = {
     "no_usable_beam": "every beam is flagged or has no variance; not fitted",

@@ -135,7 +135,7 @@ class TestWriters:
     def test_parquet_parts_of_a_long_fit(self, tmp_path, monkeypatch):
         """The writing of the second part fails; what was there goes on being read, and resuming ends it."""
         records, scan, noise = few_records(6)
-        monkeypatch.setattr("bayes_rs.campaigns.campaign_plan.PART_RECORDS", 2)
+        monkeypatch.setattr("bayes_rs.fits.plan.PART_RECORDS", 2)
         options = {"noise": noise, "seed": 3, "target_ess": 100}
         whole = brs.fit_campaign(records, scan, tmp_path / "whole", **options).summary()
         write, count = pd.DataFrame.to_parquet, iter(range(100))

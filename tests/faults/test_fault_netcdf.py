@@ -10,7 +10,7 @@ import xarray as xr
 from scenes import plain_noise
 
 from bayes_rs import InputError, load_noise, load_scan, open_result, read_radial_velocity
-from bayes_rs.jobs.record_files import open_records
+from bayes_rs.records.record_files import open_records
 
 SCAN = load_scan("2-beam")
 LOADERS = [load_noise, lambda file: read_radial_velocity(file, SCAN)]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import bayes_rs
-from bayes_rs.campaigns import record_store
 from bayes_rs.models import models_folder
+from bayes_rs.records import record_store
 from bayes_rs.report.folder import _draws_of_store
 
 PACKAGE = Path(bayes_rs.__file__).parent

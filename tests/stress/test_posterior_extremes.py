@@ -7,10 +7,10 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance, summary
+from bayes_rs.fits.result import FLAGS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseModel
 from bayes_rs.priors.registry import FlatPrior
-from bayes_rs.results.result import FLAGS
 
 SAMPLERS = ("emcee", "direct", "auto")
 

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
+from bayes_rs.fits.result import FLAGS, assemble
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.posteriors.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.progress import progress
-from bayes_rs.results.result import FLAGS, assemble
 
 TARGETS = ("record", "ensemble", "sonic")
 MISFIT_LIMIT = 3.0
@@ -37,7 +37,7 @@ def fit(
     records: xr.Dataset,
     scan: Scan,
     *,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     seed: int,
     prior: str | Prior = "weak",
     target: str = "record",
@@ -173,11 +173,11 @@ def batch_size(n_beam: int) -> int:
 def prepare(
     records: xr.Dataset,
     scan: Scan,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     *,
     instrument_noise: float | str = 0.0,
     nuisances: Nuisances | None = None,
-) -> tuple[Scan, NoiseModel | NoiseBank, Batch]:
+) -> tuple[Scan, Noise, Batch]:
     """Check that records, scan and noise belong together; return scan and noise of the records' beams, and the data.
 
     Raises
@@ -319,7 +319,7 @@ def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: flo
     return own
 
 
-def _check_flow(records: xr.Dataset, noise: NoiseModel | NoiseBank, nuisances: Nuisances) -> None:
+def _check_flow(records: xr.Dataset, noise: Noise, nuisances: Nuisances) -> None:
     """Refuse records with a turbulence of their own that the noise would leave aside."""
     averaged = nuisances.length_scale_log_sd > 0.0
     for name, unit, remedy in (
@@ -338,7 +338,7 @@ def _check_flow(records: xr.Dataset, noise: NoiseModel | NoiseBank, nuisances: N
             )
 
 
-def _check_duration(records: xr.Dataset, noise: NoiseModel | NoiseBank) -> None:
+def _check_duration(records: xr.Dataset, noise: Noise) -> None:
     duration = float(records.attrs.get("duration", noise.duration))
     if not np.isclose(duration, noise.duration):
         raise InputError(

@@ -14,30 +14,30 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
-from bayes_rs.campaigns.campaign import Campaign, begin_campaign, check_workers, run_campaign
-from bayes_rs.campaigns.campaign_parts import ALONG, ALONG_SHAPE, directions_of
-from bayes_rs.campaigns.campaign_plan import (
+from bayes_rs.fits.campaign import Campaign, begin_campaign, check_workers, run_campaign
+from bayes_rs.fits.digest import digest, digest_parts
+from bayes_rs.fits.fit_job import versions
+from bayes_rs.fits.job_options import JobOptions
+from bayes_rs.fits.parts import ALONG, ALONG_SHAPE, directions_of
+from bayes_rs.fits.plan import (
     CampaignOptions,
     CampaignPlan,
     check_versions,
     number_versions,
     plan_campaign,
 )
-from bayes_rs.campaigns.digest import digest, digest_parts
-from bayes_rs.campaigns.record_store import store_records
-from bayes_rs.campaigns.tables import read_tables
-from bayes_rs.campaigns.workers import connect
+from bayes_rs.fits.result import flag_words
+from bayes_rs.fits.tables import read_tables
+from bayes_rs.fits.words import FAILURES, describe, flag_lines, least_seen
+from bayes_rs.fits.workers import connect
 from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.fit_job import versions
-from bayes_rs.jobs.job_options import JobOptions
-from bayes_rs.jobs.job_words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.registry import SUFFIXES
+from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
-from bayes_rs.results.result import flag_words
 
 MOST_FULL = 2000
 """Records up to which a NetCDF file of the whole result is offered: about 0.1 MB each."""

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, as_numbers, check_array
 from bayes_rs.errors import InputError
+from bayes_rs.fits.result import check_result, flag_words, group
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.results.result import check_result, flag_words, group
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

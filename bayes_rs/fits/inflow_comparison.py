@@ -12,11 +12,12 @@ from scipy.special import gammaln, logsumexp
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
+from bayes_rs.fits.fitting import can_be_fitted, fit_options, prepare
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.posteriors.batch import Batch, FitOptions, make_posterior
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal
@@ -25,7 +26,6 @@ from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress
-from bayes_rs.results.fitting import can_be_fitted, fit_options, prepare
 
 TARGETS = ("record", "ensemble")
 _GRADES = ((5.0, "very strong for"), (3.0, "strong for"), (1.0, "positive for"))
@@ -66,7 +66,7 @@ def compare_inflow(
     records: xr.Dataset,
     scan: Scan,
     *,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     nuisances: Nuisances,
     seed: int,
     prior: str | Prior = "weak",
@@ -233,9 +233,7 @@ def _grade(log_bayes_factor: float) -> str:
     return "cannot tell"
 
 
-def _compare(
-    batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, leave_one_out: bool
-) -> dict[str, FloatArray]:
+def _compare(batch: Batch, noise: Noise, options: FitOptions, leave_one_out: bool) -> dict[str, FloatArray]:
     """Return the columns of the table for records that can be fitted."""
     sheared, at_record = make_posterior(batch, noise, options)
     models = (_homogeneous(sheared), sheared)
@@ -301,7 +299,7 @@ def _moments(values: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _one_out(
-    batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, whole: Posterior, covariance: FloatArray
+    batch: Batch, noise: Noise, options: FitOptions, whole: Posterior, covariance: FloatArray
 ) -> dict[str, FloatArray]:
     """Return Σ_b ln p(y_b | other beams) with gradients less that without, and its Monte-Carlo error."""
     n_record, n_beam = batch.variance.shape

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import NotPositiveDefiniteError
+from bayes_rs.fits.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
+from bayes_rs.fits.direction_table import contraction_along, direction_rows
+from bayes_rs.fits.fitting import batch_size, can_be_fitted, flags_after
+from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.posteriors.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 from bayes_rs.posteriors.sonic import ESS_MARGIN
-from bayes_rs.results.direction_table import contraction_along, direction_rows
-from bayes_rs.results.fitting import batch_size, can_be_fitted, flags_after
-from bayes_rs.results.result import FLAGS
-from bayes_rs.results.summarizing import PriorOutline, summarize_draws, summary_frame
 
 ALONG = tuple(f"direction_{number}" for number in range(1, len(STRESSES) + 1))
 """Columns with the contraction along each direction of R; the directions themselves stand in `run.json`."""
@@ -56,7 +56,7 @@ class Shared:
         Beams of the scan.
     """
 
-    noise: NoiseModel | NoiseBank
+    noise: Noise
     options: FitOptions
     outline: PriorOutline
     vectors: FloatArray

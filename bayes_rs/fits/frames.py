@@ -7,9 +7,9 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.fits.result import check_result, group
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.geometry.stress import rotate_stress
-from bayes_rs.results.result import check_result, group
 
 FRAMES = ("wind", "lidar")
 """Frames of the stresses: of the mean wind, or of the levelled lidar (x against its view, y to its right, z up)."""

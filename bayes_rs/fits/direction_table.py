@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.result import check_result, group
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
-from bayes_rs.results.result import check_result, group
 
 COLUMNS = ("record", "direction", "weight", "seen", "contraction", "contraction_shape", *STRESSES)
 

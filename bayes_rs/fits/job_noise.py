@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
 
@@ -17,13 +17,13 @@ def noise_of_job(
     records: xr.Dataset,
     scan: Scan,
     *,
-    given: NoiseModel | NoiseBank | None,
+    given: Noise | None,
     turbulence: str,
     method: str,
     sonic: bool,
     nuisances: Nuisances | None,
     say: Callable[[str], None],
-) -> NoiseModel | NoiseBank:
+) -> Noise:
     """Take the noise that is given, or make it for the records; say which it is, and what its probe volume does."""
     if given is not None:
         noise = given
@@ -45,7 +45,7 @@ def noise_of_job(
     return noise
 
 
-def about_probe(noise: NoiseModel | NoiseBank, records: xr.Dataset) -> str:
+def about_probe(noise: Noise, records: xr.Dataset) -> str:
     """Say what the noise's probe volume does in the records' winds; empty if that is not known."""
     if not {"wind_speed", "yaw"} <= set(records.variables):
         return ""

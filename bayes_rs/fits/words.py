@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from bayes_rs.fits.direction_table import direction_words
+from bayes_rs.fits.result import FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.priors.registry import Prior
-from bayes_rs.results.direction_table import direction_words
-from bayes_rs.results.result import FLAGS
 
 FAILURES = (
     FLAGS["no_usable_beam"]

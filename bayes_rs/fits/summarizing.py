@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
+from bayes_rs.fits.derived import check_derived, with_derived
+from bayes_rs.fits.frames import FRAMES, to_lidar_frame
+from bayes_rs.fits.result import check_result, flag_words, group
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
-from bayes_rs.results.derived import check_derived, with_derived
-from bayes_rs.results.frames import FRAMES, to_lidar_frame
-from bayes_rs.results.result import check_result, flag_words, group
 
 COLUMNS: tuple[str, ...] = (
     "record",

@@ -15,7 +15,7 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
-from bayes_rs.noise.model import NoiseBank, NoiseModel, RecordNoise, SonicNoise
+from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel, RecordNoise, SonicNoise
 from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
@@ -158,7 +158,7 @@ class RecordDraws:
     clipped: FloatArray
 
 
-def fit_batch(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, *, predict: bool = True) -> RecordDraws:
+def fit_batch(batch: Batch, noise: Noise, options: FitOptions, *, predict: bool = True) -> RecordDraws:
     """Sample the posteriors of a batch of records.
 
     Parameters
@@ -205,7 +205,7 @@ def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = 
     )
 
 
-def _fit_whole(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -> RecordDraws:
     """Sample records with the covariances of all their beams."""
     posterior, at_record = make_posterior(batch, noise, options)
     sonic = _sonic_noise(batch, noise, options) if options.target == "sonic" else []
@@ -243,7 +243,7 @@ def _fit_whole(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions,
     )
 
 
-def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions, predict: bool) -> RecordDraws:
+def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) -> RecordDraws:
     """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
     noise = reduced(cast("NoiseBank", bank), options.nuisances.gradient_names)
     factors, weights = options.nuisances.length_scale_nodes()
@@ -302,7 +302,7 @@ def _fit_reduced(batch: Batch, bank: NoiseModel | NoiseBank, options: FitOptions
     )
 
 
-def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> tuple[Posterior, RecordNoise]:
+def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Posterior, RecordNoise]:
     """Return the posterior of a batch, and the noise of its records (at the median length scale)."""
     factors, weights = options.nuisances.length_scale_nodes()
     # in the lidar's frame, so that the wind's direction does not weight the beams
@@ -335,13 +335,13 @@ def make_posterior(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOpti
     return Posterior(likelihood, options.prior, nuisances), at_record
 
 
-def _place(batch: Batch, noise: NoiseModel | NoiseBank, nuisances: Nuisances) -> FloatArray | None:
+def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | None:
     """Return where the beams of each record measure, for gradients of R; None if R is the same everywhere."""
     place = nuisances.place(noise.scan_geometry)
     return None if place is None else np.broadcast_to(place, (len(batch), *place.shape))
 
 
-def _sonic_noise(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOptions) -> list[SonicNoise]:
+def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicNoise]:
     """Return the moments of a sonic with the beams, for each length scale that the posterior is averaged over."""
     factors, _ = options.nuisances.length_scale_nodes()
     return [
@@ -352,14 +352,12 @@ def _sonic_noise(batch: Batch, noise: NoiseModel | NoiseBank, options: FitOption
     ]
 
 
-def _noise_of(noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
+def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
     return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
 
 
-def _own_flow(
-    noise: NoiseModel | NoiseBank, batch: Batch, nuisances: Nuisances, factor: float
-) -> dict[str, FloatArray]:
+def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:
     """Return the length scale and Γ of records, for a bank; a single model takes none."""
     own = dict(batch.flow)
     if nuisances.length_scale_log_sd > 0.0:

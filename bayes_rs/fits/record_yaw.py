@@ -9,7 +9,7 @@ import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.wind.mean_vector import mean_wind
 
@@ -19,7 +19,7 @@ _SAME_YAW = 1e-6  # rad; both come from the same means
 def with_yaw_sd(
     records: xr.Dataset,
     scan: Scan,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     nuisances: Nuisances | None,
     say: Callable[[str], None],
 ) -> xr.Dataset:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import RecordDraws
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.posteriors.batch import RecordDraws
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.nuisance import UNITS
 from bayes_rs.posteriors.sampling.chains import N_WALKER
 from bayes_rs.priors.registry import Prior
@@ -69,7 +69,7 @@ def flag_words(flag: int) -> str:
 def assemble(
     records: xr.Dataset,
     scan: Scan,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     prior: Prior,
     *,
     fitted: NDArray[np.int64],
@@ -195,7 +195,7 @@ def check_result(result: xr.DataTree) -> xr.DataTree:
     return result
 
 
-def noise_summary(noise: NoiseModel | NoiseBank) -> dict[str, Any]:
+def noise_summary(noise: Noise) -> dict[str, Any]:
     """Return which noise it is, as plain numbers and texts."""
     models = noise.models
     first = models[0]

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.results.derived import lumley_coordinates
-from bayes_rs.results.plots import PRIOR_COLOUR, TRUTH_COLOUR, find_record, known_stresses
-from bayes_rs.results.result import check_result, group
+from bayes_rs.fits.derived import lumley_coordinates
+from bayes_rs.fits.result import check_result, group
+from bayes_rs.plot.plots import PRIOR_COLOUR, TRUTH_COLOUR, find_record, known_stresses
 
 POINT_COLOUR = "#1f4e79"
 _MOST_DRAWS = 2000

@@ -8,12 +8,12 @@ from pathlib import Path
 import pandas as pd
 import xarray as xr
 
+from bayes_rs.fits.job_noise import noise_of_job
+from bayes_rs.fits.prior_check import prior_sensitivity
+from bayes_rs.fits.record_yaw import with_yaw_sd
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.job_noise import noise_of_job
-from bayes_rs.jobs.record_yaw import with_yaw_sd
 from bayes_rs.noise.reading import load_noise
 from bayes_rs.posteriors.nuisance import Nuisances
-from bayes_rs.results.prior_check import prior_sensitivity
 
 
 def run_sensitivity(
@@ -100,7 +100,7 @@ def sensitivity_lines(table: pd.DataFrame) -> list[str]:
     Examples
     --------
     >>> rows = [(0.5, "uu", 2.0, 0.9, 0.9, 0.1, 0.8, "both"), (1.0, "uu", 4.0, 1.0, 1.0, 0.0, 0.9, "both")]
-    >>> from bayes_rs.results.prior_check import COLUMNS
+    >>> from bayes_rs.fits.prior_check import COLUMNS
     >>> for line in sensitivity_lines(pd.DataFrame(rows, columns=list(COLUMNS))):
     ...     print(line)
     stress     prior  posterior    x 0.5  decided by

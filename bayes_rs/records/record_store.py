@@ -18,8 +18,6 @@ import numpy as np
 import pyarrow as pa
 import xarray as xr
 
-from bayes_rs.campaigns.read_counts import add_report, whole_report
-from bayes_rs.campaigns.stream import StreamState, add_chunk, join_blocks
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.output import write_netcdf
@@ -29,6 +27,8 @@ from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.registry import SUFFIXES
 from bayes_rs.readers.streaming import stream_radial_velocity
+from bayes_rs.records.read_counts import add_report, whole_report
+from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
 
 CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""

@@ -9,11 +9,11 @@ from typing import Any
 
 import xarray as xr
 
-from bayes_rs.campaigns.campaign_plan import CampaignOptions
+from bayes_rs.fits.job_noise import about_probe, noise_of_job
+from bayes_rs.fits.plan import CampaignOptions
+from bayes_rs.fits.record_yaw import with_yaw_sd
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.jobs.job_noise import about_probe, noise_of_job
-from bayes_rs.jobs.record_yaw import with_yaw_sd
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.noise.reading import load_noise
 
 
@@ -32,13 +32,13 @@ class JobOptions:
     noise_method: str
     of_fit: CampaignOptions
 
-    def given_noise(self) -> NoiseModel | NoiseBank | None:
+    def given_noise(self) -> Noise | None:
         """Read the noise from its file; None if it is to be made for the records."""
         return None if self.noise_file is None else load_noise(self.noise_file)
 
     def noise_and_records(
-        self, records: xr.Dataset, scan: Scan, given: NoiseModel | NoiseBank | None, say: Callable[[str], None]
-    ) -> tuple[NoiseModel | NoiseBank, xr.Dataset]:
+        self, records: xr.Dataset, scan: Scan, given: Noise | None, say: Callable[[str], None]
+    ) -> tuple[Noise, xr.Dataset]:
         """Return the noise, given or made for the records, and records that hold all that the fit asks of them."""
         nuisances = self.of_fit.nuisances
         noise = noise_of_job(
@@ -53,12 +53,12 @@ class JobOptions:
         )
         return noise, with_yaw_sd(records, scan, noise, nuisances, say)
 
-    def for_key(self, given: NoiseModel | NoiseBank | None) -> dict[str, Any]:
+    def for_key(self, given: Noise | None) -> dict[str, Any]:
         """Return what tells runs with other options apart, by name, for `digest_parts`."""
         made = {"turbulence": self.turbulence, "noise_method": self.noise_method}
         return {**made, "noise": given, **self.of_fit.for_key()}
 
-    def for_run(self, noise: NoiseModel | NoiseBank, records: xr.Dataset) -> dict[str, Any]:
+    def for_run(self, noise: Noise, records: xr.Dataset) -> dict[str, Any]:
         """Return what `run.json` says of where the noise came from."""
         made = {"noise_turbulence": self.turbulence, "noise_method": self.noise_method}
         read = {} if self.noise_file is None else {"noise_file": Path(self.noise_file).name}

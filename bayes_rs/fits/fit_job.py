@@ -16,20 +16,20 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
-from bayes_rs.campaigns.campaign_plan import CampaignOptions
 from bayes_rs.errors import InputError
+from bayes_rs.fits.direction_table import directions
+from bayes_rs.fits.fitting import fit
+from bayes_rs.fits.job_options import JobOptions
+from bayes_rs.fits.plan import CampaignOptions
+from bayes_rs.fits.result import FLAGS, UNFITTED, check_result, flag_words, group
+from bayes_rs.fits.summarizing import summary
+from bayes_rs.fits.words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
-from bayes_rs.jobs.job_options import JobOptions
-from bayes_rs.jobs.job_words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.output import output_folder, write_csv, write_netcdf, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
-from bayes_rs.results.direction_table import directions
-from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import FLAGS, UNFITTED, check_result, flag_words, group
-from bayes_rs.results.summarizing import summary
 
 POSTERIOR_FILE = "posterior.nc"
 
@@ -127,7 +127,7 @@ def run_fit(
     InputError
         If the folder may not be written, another run is writing it, or input does not belong together.
     """
-    from bayes_rs.results.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
+    from bayes_rs.plot.plots import plot_corner, plot_stresses  # noqa: PLC0415 - matplotlib is slow to load
 
     asked = JobOptions(
         noise_file=noise_file,

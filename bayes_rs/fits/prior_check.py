@@ -10,13 +10,13 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fitting import fit
+from bayes_rs.fits.result import group
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.results.fitting import fit
-from bayes_rs.results.result import group
 
 COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "contraction", "decided_by")
 _DECIDED = 0.25
@@ -27,7 +27,7 @@ def prior_sensitivity(
     records: xr.Dataset,
     scan: Scan,
     *,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     seed: int,
     prior: str | Prior = "weak",
     factors: Sequence[float] = (0.5, 2.0),

@@ -15,15 +15,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import check_count
-from bayes_rs.campaigns.campaign_parts import Done, Part, Shared, fit_part
-from bayes_rs.campaigns.campaign_plan import (
+from bayes_rs.fits.draw_store import DrawStore, open_draw_store
+from bayes_rs.fits.parts import Done, Part, Shared, fit_part
+from bayes_rs.fits.plan import (
     CampaignOptions,
     CampaignPlan,
     check_versions,
     plan_campaign,
 )
-from bayes_rs.campaigns.draw_store import DrawStore, open_draw_store
-from bayes_rs.campaigns.tables import (
+from bayes_rs.fits.result import FLAGS, UNFITTED
+from bayes_rs.fits.tables import (
     files_of_part,
     is_whole,
     read_summary,
@@ -31,16 +32,15 @@ from bayes_rs.campaigns.tables import (
     remove_half_written,
     write_table,
 )
-from bayes_rs.campaigns.workers import check_client, run_dask, run_processes, run_serial
+from bayes_rs.fits.workers import check_client, run_dask, run_processes, run_serial
 from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.output import prepare_resumable_folder, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
-from bayes_rs.results.result import FLAGS, UNFITTED
 
 PRIOR_FILE = "prior.parquet"
 """Draws of the prior, for its outline in the report."""
@@ -80,7 +80,7 @@ def fit_campaign(
     scan: Scan,
     output: str | Path,
     *,
-    noise: NoiseModel | NoiseBank,
+    noise: Noise,
     seed: int,
     prior: str | Prior = "weak",
     target: str = "record",

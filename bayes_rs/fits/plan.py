@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs._version import __version__
-from bayes_rs.campaigns.campaign_parts import Part, Shared
-from bayes_rs.campaigns.digest import digest, digest_parts
-from bayes_rs.campaigns.draw_store import check_zarr
 from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import Batch, FitOptions
+from bayes_rs.fits.digest import digest, digest_parts
+from bayes_rs.fits.direction_table import prior_covariances, scan_directions
+from bayes_rs.fits.draw_store import check_zarr
+from bayes_rs.fits.fitting import can_be_fitted, fit_options, flags_before, prepare
+from bayes_rs.fits.parts import Part, Shared
+from bayes_rs.fits.result import N_PRIOR_DRAW, PRIOR_SEED, noise_summary
+from bayes_rs.fits.summarizing import PriorOutline, check_summary_options
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.model import Noise
 from bayes_rs.output import RUN_FILE
-from bayes_rs.posteriors.batch import Batch, FitOptions
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior
-from bayes_rs.results.direction_table import prior_covariances, scan_directions
-from bayes_rs.results.fitting import can_be_fitted, fit_options, flags_before, prepare
-from bayes_rs.results.result import N_PRIOR_DRAW, PRIOR_SEED, noise_summary
-from bayes_rs.results.summarizing import PriorOutline, check_summary_options
 
 DRAWS = ("none", "float32", "float64", "zarr")
 """What is kept of the draws."""
@@ -160,9 +160,7 @@ class CampaignPlan:
         return ("summary", "posterior", *(("draws",) if self.shared.draws in ("float32", "float64") else ()))
 
 
-def plan_campaign(
-    records: xr.Dataset, scan: Scan, noise: NoiseModel | NoiseBank, options: CampaignOptions
-) -> CampaignPlan:
+def plan_campaign(records: xr.Dataset, scan: Scan, noise: Noise, options: CampaignOptions) -> CampaignPlan:
     """Check that records, scan and noise belong together, and cut the records into parts.
 
     Raises

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.fits.fit_job import Outcome, run_fit
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.jobs.fit_job import Outcome, run_fit
 from bayes_rs.models import demo_file, models_folder
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.readers import read_radial_velocity
@@ -111,8 +111,8 @@ def width_table(outcomes: dict[str, Outcome]) -> pd.DataFrame:
 
 
 def _prior_width(outcome: Outcome) -> FloatArray:
-    from bayes_rs.posteriors.diagnostics import highest_density_interval  # noqa: PLC0415 - slow to load
-    from bayes_rs.results.plots import prior_at_size  # noqa: PLC0415 - slow to load
+    from bayes_rs.plot.plots import prior_at_size
+    from bayes_rs.posteriors.diagnostics import highest_density_interval
 
     widths = []
     for record in range(outcome.n_record):
@@ -122,9 +122,9 @@ def _prior_width(outcome: Outcome) -> FloatArray:
 
 
 def _side_by_side(outcomes: dict[str, Outcome], truth: FloatArray) -> Any:
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to load
+    from matplotlib.figure import Figure
 
-    from bayes_rs.results.plots import corner_limits, plot_corner  # noqa: PLC0415 - slow to load
+    from bayes_rs.plot.plots import corner_limits, plot_corner
 
     shown = ("6-beam-45", "50-beam")
     results = [outcomes[name].result for name in shown]

@@ -1,1 +1,0 @@
-"""Long fits: part by part, by several workers, resumable."""

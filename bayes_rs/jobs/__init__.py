@@ -1,1 +1,0 @@
-"""Whole jobs: files in, a folder of results out."""

@@ -1,0 +1,1 @@
+"""Figures: posteriors, stresses over time, comparisons of scans, spectra."""
