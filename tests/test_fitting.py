@@ -53,7 +53,8 @@ class TestCalibration:
             assert np.all(inside >= stats.binom.ppf(5e-6, n_record, level))
             assert np.all(inside <= stats.binom.ppf(1.0 - 5e-6, n_record, level))
         for index in range(6):
-            assert stats.kstest(rank[:, index], "uniform").pvalue > 1e-4
+            # 36 such tests: a false alarm in 28 000 seeds; the drawn truths depend on the processor's eigenvectors
+            assert stats.kstest(rank[:, index], "uniform").pvalue > 1e-6
 
     def test_noise_that_is_too_small_is_caught(self):
         """The test above has power: halving the noise's standard deviation breaks the coverage of uu."""

@@ -1,0 +1,184 @@
+"""Options that are written once: name, type, default, unit and one line of help.
+
+A class of options is a frozen dataclass whose fields are made with `option`. Python's keywords, settings files, the command
+line, `run.json` and the tables of the documentation are all made from these fields.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from bayes_rs.errors import InputError
+
+_Class = TypeVar("_Class")
+_KEY = "bayes_rs option"
+
+
+@dataclass(frozen=True)
+class About:
+    """What an option is, beside its name, type and default.
+
+    Parameters
+    ----------
+    help : str
+        One line: what it does.
+    unit : str
+        Unit of its numbers, as ``"m/s"``; empty if they have none.
+    choices : str
+        Where its values are listed, as ``"bayes_rs.priors.registry:PRIORS"``: the keys of a registry; empty if there is
+        no list.
+    flag : str or None
+        Its name on the command line, as ``"--ess"``; None for its own name, and ``""`` where the command line does not
+        have it.
+    metavar : str
+        What stands for its value in the help, as ``"OURS=THEIRS"``.
+    """
+
+    help: str
+    unit: str = ""
+    choices: str | tuple[str, ...] = ""
+    flag: str | None = None
+    metavar: str = ""
+
+
+def option(
+    default: Any = MISSING,
+    help: str = "",  # noqa: A002 - the word that argparse and click have for it
+    *,
+    unit: str = "",
+    choices: str | tuple[str, ...] = "",
+    flag: str | None = None,
+    metavar: str = "",
+) -> Any:
+    """Return a dataclass field that says what its option is; see `About`."""
+    about = {_KEY: About(help=help, unit=unit, choices=choices, flag=flag, metavar=metavar)}
+    if isinstance(default, (dict, list)):
+        return field(default_factory=default.copy, metadata=about)
+    return field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a class of options: its field, its type and what it is."""
+
+    name: str
+    type: Any
+    default: Any
+    about: About
+
+    @property
+    def flag(self) -> str:
+        """Its name on the command line; empty where the command line does not have it."""
+        own = self.about.flag
+        return f"--{self.name.replace('_', '-')}" if own is None else own
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The values that it may have; empty if there is no list."""
+        if not isinstance(self.about.choices, str):
+            return self.about.choices
+        if not self.about.choices:
+            return ()
+        module, _, name = self.about.choices.partition(":")
+        return tuple(getattr(__import__(module, fromlist=[name]), name))
+
+
+def options_of(cls: type) -> list[Option]:
+    """Return the options of a class, in the order of their fields."""
+    hints = get_type_hints(cls)
+    return [
+        Option(entry.name, hints[entry.name], _default(entry), entry.metadata[_KEY])
+        for entry in fields(cls)
+        if _KEY in entry.metadata
+    ]
+
+
+def described(cls: type[_Class]) -> type[_Class]:
+    """Write the section Parameters of the docstring of a class of options, from its fields."""
+    lines = ["Parameters", "----------"]
+    for entry in fields(cls):  # type: ignore[arg-type] # a dataclass: the decorator stands above its own
+        about = entry.metadata[_KEY]
+        optional = "" if entry.default is MISSING and entry.default_factory is MISSING else ", optional"
+        lines.append(f"{entry.name} : {_in_words(str(entry.type))}{optional}")
+        lines.append(f"    {about.help.rstrip('.')}{f', {about.unit}' if about.unit else ''}.")
+    first, _, rest = (cls.__doc__ or "").partition("\n\n")
+    body = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
+    cls.__doc__ = "\n\n".join(part for part in (first, "\n".join(lines), body.strip()) if part) + "\n"
+    return cls
+
+
+def from_plain(cls: type[_Class], values: Mapping[str, Any], *, where: str) -> _Class:
+    """Make options from what a TOML file or a JSON object holds.
+
+    Raises
+    ------
+    InputError
+        If a key is not an option, a value is of another type, or the class refuses a value.
+    """
+    known = {entry.name: entry for entry in options_of(cls)}
+    for name in values:
+        if name not in known:
+            raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}.")
+    try:
+        return cls(**{name: _as_type(value, known[name].type) for name, value in values.items()})
+    except TypeError as error:
+        raise InputError(f"Invalid options in {where}: {error}.") from error
+
+
+def to_plain(options: Any) -> dict[str, Any]:
+    """Return options as plain values, as `from_plain` takes them: what is infinite or not a number is a text.
+
+    Raises
+    ------
+    InputError
+        If a value is an object that cannot be written, such as a prior of the user's own class.
+    """
+    return {entry.name: _plain(getattr(options, entry.name), entry.name) for entry in options_of(type(options))}
+
+
+def nearest(name: str, known: Mapping[str, Any]) -> str:
+    """Say which option was meant, or which there are."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"did you mean {close[0]!r}?"[:-1] if close else f"the options are {', '.join(known)}"
+
+
+def _default(entry: Field[Any]) -> Any:
+    return entry.default_factory() if entry.default_factory is not MISSING else entry.default
+
+
+def _in_words(annotation: str) -> str:
+    return annotation.replace(" | ", " or ").replace(" or None", "")
+
+
+def _as_type(value: Any, annotation: Any) -> Any:
+    """Return a plain value as the type of an option has it: lists as tuples, texts for numbers that JSON lacks."""
+    kinds = get_args(annotation) if get_origin(annotation) in (typing.Union, types.UnionType) else (annotation,)
+    if isinstance(value, str) and value in ("inf", "-inf", "nan") and float in kinds and str not in kinds:
+        return float(value)
+    if isinstance(value, list):
+        return tuple(tuple(part) if isinstance(part, list) else part for part in value)
+    return value
+
+
+def _plain(value: Any, name: str) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if hasattr(value, "item") and not hasattr(value, "__len__"):
+        return _plain(value.item(), name)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part, name) for key, part in value.items()}
+    if isinstance(value, Sequence):
+        return [_plain(part, name) for part in value]
+    if hasattr(value, "__fspath__"):
+        return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return to_plain(value)
+    raise InputError(f"Invalid {name} {value!r}: it cannot be written to a file; give its name, or numbers and texts.")
