@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
@@ -22,40 +23,6 @@ from bayes_rs.posteriors.sampling import sample
 from bayes_rs.posteriors.sampling.chains import BLOCK, Chains
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.posteriors.sonic import ESS_MARGIN, draw_sonic
-from bayes_rs.priors.registry import Prior
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitOptions:
-    """What is the same for all records of a fit.
-
-    Parameters
-    ----------
-    prior : Prior
-        The prior of R.
-    target : str
-        Which R.
-    sampler, likelihood : str
-        Their names.
-    nuisances : Nuisances
-        What is uncertain beside R.
-    instrument_noise : float
-        Variance that the instrument adds to each radial variance, m² s⁻²; see `Batch` for that of the records.
-    target_ess, max_extension : int
-        Effective sample size to reach, and how often a chain may be doubled for it.
-    seed : int
-        Seed of the fit.
-    """
-
-    prior: Prior
-    target: str
-    sampler: str
-    likelihood: str
-    nuisances: Nuisances
-    instrument_noise: float
-    target_ess: int
-    max_extension: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -120,12 +87,12 @@ class Batch:
         """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""
         if options.nuisances.instrument_noise_log_sd > 0.0:
             return 0.0
-        return options.instrument_noise if self.instrument_noise is None else self.instrument_noise
+        return options.known_instrument_noise if self.instrument_noise is None else self.instrument_noise
 
     def median_noise(self, options: FitOptions) -> FloatArray | float:
         """Return the median of uncertain noise: that of the options, or (n_record, 1) the mean of the used beams."""
         if self.instrument_noise is None:
-            return options.instrument_noise
+            return options.known_instrument_noise
         count = np.maximum(np.count_nonzero(self.used, axis=1, keepdims=True), 1)
         return np.asarray(np.sum(np.where(self.used, self.instrument_noise, 0.0), axis=1, keepdims=True) / count)
 
@@ -273,7 +240,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    posterior = Posterior(likelihood, options.prior, nuisances)
+    posterior = Posterior(likelihood, options.made_prior, nuisances)
     chains, streams = sample(
         options.sampler,
         posterior,
@@ -332,7 +299,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    return Posterior(likelihood, options.prior, nuisances), at_record
+    return Posterior(likelihood, options.made_prior, nuisances), at_record
 
 
 def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | None:

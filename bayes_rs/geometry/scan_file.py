@@ -203,6 +203,17 @@ def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float)
     return np.stack(np.broadcast_arrays(-np.cos(opening_angle), np.cos(phase) * sine, np.sin(phase) * sine), axis=-1)
 
 
+def as_scan(scan: str | Path | Scan) -> Scan:
+    """Return the scan itself, or the one that a name or a file means.
+
+    Examples
+    --------
+    >>> as_scan("6-beam").n_beam
+    6
+    """
+    return scan if isinstance(scan, Scan) else load_scan(scan)
+
+
 def load_scan(
     name: str | Path,
     *,
