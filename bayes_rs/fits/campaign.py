@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from bayes_rs._validation import check_count
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits.draw_store import DrawStore, open_draw_store
 from bayes_rs.fits.parts import Done, Part, Shared, fit_part
 from bayes_rs.fits.plan import (
@@ -25,22 +25,20 @@ from bayes_rs.fits.plan import (
 )
 from bayes_rs.fits.result import FLAGS, UNFITTED
 from bayes_rs.fits.tables import (
-    files_of_part,
-    is_whole,
+    names_of_part,
+    part_names,
     read_summary,
-    read_tables,
-    remove_half_written,
+    read_table,
     write_table,
 )
 from bayes_rs.fits.workers import check_client, run_dask, run_processes, run_serial
-from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.model import Noise
-from bayes_rs.output import prepare_resumable_folder, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
+from bayes_rs.result_folder import ResultFolder
 
 PRIOR_FILE = "prior.parquet"
 """Draws of the prior, for its outline in the report."""
@@ -187,16 +185,15 @@ def fit_campaign(
     )
     check_workers(workers, client)
     plan = plan_campaign(records, scan, noise, options)
-    with locked(output):
-        return begin_campaign(
-            plan,
-            output,
-            workers=workers,
-            client=client,
-            resume=resume,
-            overwrite=overwrite,
-            show_progress=show_progress,
-        )
+    return begin_campaign(
+        plan,
+        output,
+        workers=workers,
+        client=client,
+        resume=resume,
+        overwrite=overwrite,
+        show_progress=show_progress,
+    )
 
 
 def check_workers(workers: int, client: Any = None) -> None:
@@ -229,7 +226,7 @@ def begin_campaign(
     plan : CampaignPlan
         From `plan_campaign`.
     output, workers, client, resume, overwrite, show_progress
-        As for `fit_campaign`; the caller holds the folder `locked`.
+        As for `fit_campaign`.
 
     Returns
     -------
@@ -243,20 +240,29 @@ def begin_campaign(
     """
     if resume and not overwrite:
         check_versions(output)
-    folder = prepare_resumable_folder(output, plan.key, plan.key_parts, resume=resume, overwrite=overwrite)
-    return run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+    with begin_result_folder(
+        output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite
+    ) as folder:
+        campaign, run = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+        folder.finish(run)
+    return replace(campaign, folder=folder.path)
 
 
 def run_campaign(
-    plan: CampaignPlan, folder: Path, *, workers: int = 1, client: Any = None, show_progress: bool | None = None
-) -> Campaign:
+    plan: CampaignPlan,
+    folder: ResultFolder,
+    *,
+    workers: int = 1,
+    client: Any = None,
+    show_progress: bool | None = None,
+) -> tuple[Campaign, dict[str, Any]]:
     """Do what a plan has left to do in a folder.
 
     Parameters
     ----------
     plan : CampaignPlan
         From `plan_campaign`.
-    folder : Path
+    folder : ResultFolder
         A folder of this plan: nothing of another is in it.
     workers, client, show_progress
         As for `fit_campaign`.
@@ -265,6 +271,8 @@ def run_campaign(
     -------
     campaign : Campaign
         Where the results are, and how many.
+    run : dict
+        What `run.json` is to say.
 
     Raises
     ------
@@ -274,20 +282,20 @@ def run_campaign(
         If a part cannot be written, as on a full disk.
     """
     began = time.perf_counter()
-    write_run(folder, {**plan.run, "finished": False})
+    folder.write_run(plan.run)
     shared, n_record = plan.shared, plan.n_record
     store = _open_draws(plan, folder) if shared.draws == "zarr" else None
     left = [
         part
         for part in plan.parts
-        if not all(is_whole(file) for name in plan.datasets for file, _ in _files(folder, name, part))
+        if any(folder.damage(file) for name in plan.datasets for file, _ in names_of_part(name, part.index, part.time))
         or not (store is None or store.has(part.index))
     ]
     n_resumed = n_done = n_record - sum(len(part.batch) for part in left)
     silent = None if show_progress is None else not show_progress
     of_index = {part.index: part for part in left}
     try:
-        write_table(pd.DataFrame(plan.prior_draws[:_PRIOR_ROWS], columns=list(STRESSES)), folder / PRIOR_FILE)
+        write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws[:_PRIOR_ROWS], columns=list(STRESSES)))
         with (
             progress_counter(n_record, "fitting", " records", initial=n_resumed, disable=silent) as bar,
             closing(_run(shared, left, workers, client)) as finished,
@@ -301,15 +309,14 @@ def run_campaign(
                 bar.update(len(done.tables["posterior"]))
     except BaseException as error:
         error.add_note(
-            f"{n_done} of {n_record} records are finished and kept in {str(folder)!r}: the same call with resume "
+            f"{n_done} of {n_record} records are finished and kept in {str(folder.path)!r}: the same call with resume "
             "goes on from there."
         )
         raise
-    remove_half_written(folder, plan.datasets)
-    row = read_tables(folder, "posterior", ["flag_bits", "outside_noise"])
+    row = read_table(folder, part_names(folder, "posterior"), ["flag_bits", "outside_noise"])
     flag = row["flag_bits"].to_numpy()
     campaign = Campaign(
-        folder,
+        folder.path,
         n_record,
         int(np.count_nonzero((flag & UNFITTED) == 0)),
         n_resumed,
@@ -320,10 +327,8 @@ def run_campaign(
         "n_fitted": campaign.n_fitted,
         "n_outside_noise": int(np.count_nonzero(row["outside_noise"].to_numpy())),
         "flags": campaign.flags,
-        "finished": True,
     }
-    write_run(folder, {**plan.run, **counts})
-    return campaign
+    return campaign, {**plan.run, **counts}
 
 
 def _run(shared: Shared, parts: list[Part], workers: int, client: Any) -> Generator[Done, None, None]:
@@ -334,9 +339,9 @@ def _run(shared: Shared, parts: list[Part], workers: int, client: Any) -> Genera
     return run_processes(fit_part, shared, parts, min(workers, len(parts)))
 
 
-def _open_draws(plan: CampaignPlan, folder: Path) -> DrawStore:
+def _open_draws(plan: CampaignPlan, folder: ResultFolder) -> DrawStore:
     return open_draw_store(
-        folder / "draws.zarr",
+        folder,
         time=np.concatenate([part.time for part in plan.parts]),
         n_draw=plan.shared.n_draw,
         part_records=len(plan.parts[0].record),
@@ -344,10 +349,6 @@ def _open_draws(plan: CampaignPlan, folder: Path) -> DrawStore:
     )
 
 
-def _files(folder: Path, dataset: str, part: Part) -> list[tuple[Path, NDArray[np.bool_]]]:
-    return files_of_part(folder, dataset, part.index, part.time)
-
-
-def _write_files(table: pd.DataFrame, folder: Path, dataset: str, part: Part) -> None:
-    for file, rows in _files(folder, dataset, part):
-        write_table(table if rows.all() else table[table["record"].isin(part.record[rows])], file)
+def _write_files(table: pd.DataFrame, folder: ResultFolder, dataset: str, part: Part) -> None:
+    for file, rows in names_of_part(dataset, part.index, part.time):
+        write_table(folder, file, table if rows.all() else table[table["record"].isin(part.record[rows])])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import os
-import shutil
+import tempfile
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,8 +15,12 @@ from numpy.typing import NDArray
 
 from bayes_rs.errors import MissingExtraError
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.result_folder import ResultFolder
 
+STORE = "draws.zarr"
+"""The store, in the folder of results."""
 _TYPE = "float32"
+_BYTES = "<f4"  # as Zarr writes it, uncompressed
 
 
 @dataclass(frozen=True)
@@ -26,34 +29,32 @@ class DrawStore:
 
     Parameters
     ----------
-    path : Path
-        Its folder.
-    arrays : dict of str to object
-        Its Zarr arrays, by the names of the stresses.
+    folder : ResultFolder
+        The folder of results that it is in.
+    n_draw : int
+        Draws of a record.
     part_records : int
         Records of a part.
     """
 
-    path: Path
-    arrays: Mapping[str, Any]
+    folder: ResultFolder
+    n_draw: int
     part_records: int
 
     def write(self, index: int, draws: NDArray[np.float32]) -> None:
         """Write the draws of one part, shape (n_record, n_draw, 6); they are on the disk when this returns."""
-        first = index * self.part_records
-        for number, (name, array) in enumerate(self.arrays.items()):
-            array[first : first + len(draws)] = draws[:, :, number]
-            with self._chunk(name, index).open("rb") as written:
-                os.fsync(written.fileno())
+        chunk = np.full((self.part_records, self.n_draw, len(STRESSES)), np.nan, dtype=_TYPE)
+        chunk[: len(draws)] = draws
+        for number, name in enumerate(STRESSES):
+            self.folder.write_bytes(_chunk(name, index), chunk[:, :, number].astype(_BYTES).tobytes())
 
     def has(self, index: int) -> bool:
-        """Tell whether the chunks of a part are there and of full length."""
-        n_byte = self.part_records * next(iter(self.arrays.values())).shape[1] * np.dtype(_TYPE).itemsize
-        files = [self._chunk(name, index) for name in self.arrays]
-        return all(file.is_file() and file.stat().st_size == n_byte for file in files)
+        """Tell whether the chunks of a part are there, with the bytes that were written."""
+        return not any(self.folder.damage(_chunk(name, index)) for name in STRESSES)
 
-    def _chunk(self, name: str, index: int) -> Path:
-        return self.path / name / "c" / str(index) / "0"
+
+def _chunk(name: str, index: int) -> str:
+    return f"{STORE}/{name}/c/{index}/0"
 
 
 def check_zarr() -> Any:
@@ -71,14 +72,14 @@ def check_zarr() -> Any:
 
 
 def open_draw_store(
-    path: Path, *, time: NDArray[np.datetime64], n_draw: int, part_records: int, attributes: Mapping[str, Any]
+    folder: ResultFolder, *, time: NDArray[np.datetime64], n_draw: int, part_records: int, attributes: Mapping[str, Any]
 ) -> DrawStore:
     """Open the store of a run that was interrupted, or make it.
 
     Parameters
     ----------
-    path : Path
-        Its folder; what is there and not of this run is replaced.
+    folder : ResultFolder
+        The folder of results that it is in; a store in it that is not of this run is replaced.
     time : ndarray of datetime64[ns], shape (n_record,)
         Start of the records; NaT if not known.
     n_draw : int
@@ -99,20 +100,18 @@ def open_draw_store(
         If zarr is not installed.
     """
     zarr = check_zarr()
-    if not _is_of(zarr, path, attributes):
-        if path.exists():
-            shutil.rmtree(path)
-        _make(zarr, path, time, n_draw, part_records, attributes)
-    with zarr.config.set({"array.write_empty_chunks": True}):  # a part without draws is whole, too
-        group = zarr.open_group(path, mode="r+", zarr_format=3)
-        return DrawStore(path, {name: group[name] for name in STRESSES}, part_records)
-
-
-def _is_of(zarr: Any, path: Path, attributes: Mapping[str, Any]) -> bool:
-    try:
-        return dict(zarr.open_group(path, mode="r", zarr_format=3).attrs) == dict(attributes)
-    except (OSError, ValueError, KeyError):
-        return False
+    with tempfile.TemporaryDirectory() as place:
+        empty = Path(place) / STORE
+        _make(zarr, empty, time, n_draw, part_records, attributes)
+        files = {f"{STORE}/{file.relative_to(empty).as_posix()}": file for file in empty.rglob("*") if file.is_file()}
+        fresh = {name: file.read_bytes() for name, file in sorted(files.items())}
+    if not all(folder.lists(name, content) for name, content in fresh.items()):  # of another run, or none
+        for name in folder.names(f"{STORE}/"):
+            folder.remove(name)
+    for name, content in fresh.items():
+        if folder.damage(name):
+            folder.write_bytes(name, content)
+    return DrawStore(folder, n_draw, part_records)
 
 
 def _make(
@@ -132,7 +131,7 @@ def _make(
             dtype=_TYPE,
             dimension_names=("record", "draw"),
             fill_value=np.nan,
-            compressors=None,  # draws hardly compress, and so the length of a file tells whether it is whole
+            compressors=None,  # draws hardly compress, and so the bytes of a chunk are those of its numbers
             attributes={"units": "m2 s-2"},
         )
     group.create_array("record", data=np.arange(len(time)), dimension_names=("record",))

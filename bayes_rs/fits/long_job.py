@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,8 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
-from bayes_rs.fits.campaign import Campaign, begin_campaign, check_workers, run_campaign
+from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.fits.campaign import Campaign, check_workers, run_campaign
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_job import versions
 from bayes_rs.fits.job_options import JobOptions
@@ -27,22 +27,24 @@ from bayes_rs.fits.plan import (
     plan_campaign,
 )
 from bayes_rs.fits.result import flag_words
-from bayes_rs.fits.tables import read_tables
+from bayes_rs.fits.tables import part_names, read_table
 from bayes_rs.fits.words import FAILURES, describe, flag_lines, least_seen
 from bayes_rs.fits.workers import connect
-from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, write_csv, write_netcdf, write_run
+from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.registry import SUFFIXES
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
+from bayes_rs.result_folder import ResultFolder
 
 MOST_FULL = 2000
 """Records up to which a NetCDF file of the whole result is offered: about 0.1 MB each."""
 MOST_CSV = 20_000
 """Records up to which the summary is written as CSV, too."""
+_MARK = "records/fit-key"
+"""File with the key of the fit whose parts are in the folder."""
 _LISTED = 20
 """Failures that are listed one by one."""
 
@@ -154,12 +156,21 @@ def run_long_fit(
     clock = [time.perf_counter()]
     noise, records = asked.noise_and_records(records, scan, asked.given_noise(), say)
     clock.append(time.perf_counter())
-    with connect(scheduler) as client, locked(output):
-        plan = plan_campaign(records, scan, noise, asked.of_fit)
-        campaign = begin_campaign(plan, output, workers=workers, client=client, resume=resume, overwrite=overwrite)
+    plan = plan_campaign(records, scan, noise, asked.of_fit)
+    if resume and not overwrite:
+        check_versions(output)
+    with (
+        connect(scheduler) as client,
+        begin_result_folder(
+            output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite
+        ) as folder,
+    ):
+        campaign, run = run_campaign(plan, folder, workers=workers, client=client)
         clock.append(time.perf_counter())
         return _finish(
+            folder,
             campaign,
+            run,
             plan,
             records,
             say,
@@ -301,15 +312,14 @@ def run_folder_fit(
     )
     key = digest(key_parts)
     find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
-    with locked(output):
-        if resume and not overwrite:
-            check_versions(output)
-        folder = prepare_resumable_folder(output, key, key_parts, resume=resume, overwrite=overwrite)
-        write_run(folder, {"key": key, "key_parts": key_parts, "finished": False, "packages": number_versions()})
+    if resume and not overwrite:
+        check_versions(output)
+    with begin_result_folder(output, key=key, key_parts=key_parts, resume=resume, overwrite=overwrite) as folder:
+        folder.write_run({"packages": number_versions()})
         stored = store_records(
             files,
             scan,
-            folder / "records",
+            folder,
             reading=read,
             chunk_rows=chunk_rows,
             lateness=lateness,
@@ -327,11 +337,12 @@ def run_folder_fit(
             check_workers(workers, client)
             plan = plan_campaign(records, scan, noise, asked.of_fit)
             _only_of(plan, folder)
-            plan = replace(plan, run={**plan.run, "key": key, "key_parts": key_parts})
-            campaign = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
+            campaign, run = run_campaign(plan, folder, workers=workers, client=client, show_progress=show_progress)
         clock.append(time.perf_counter())
         return _finish(
+            folder,
             campaign,
+            run,
             plan,
             records,
             say,
@@ -345,19 +356,21 @@ def run_folder_fit(
         )
 
 
-def _only_of(plan: CampaignPlan, folder: Path) -> None:
+def _only_of(plan: CampaignPlan, folder: ResultFolder) -> None:
     """Remove the parts of another fit, of fewer files, and say whose parts come now."""
-    mark = folder / "records" / "fit-key"
-    if not mark.is_file() or mark.read_text(encoding="utf-8") != plan.key:
-        for name in ("summary", "posterior", "draws", "draws.zarr"):
-            if (folder / name).exists():
-                shutil.rmtree(folder / name)
-        with output_file(mark, overwrite=True) as file:
-            file.write_text(plan.key, encoding="utf-8")
+    mark = plan.key.encode()
+    if not folder.lists(_MARK, mark):
+        for dataset in ("summary", "posterior", "draws", "draws.zarr"):
+            for name in folder.names(f"{dataset}/"):
+                folder.remove(name)
+    if folder.damage(_MARK) or not folder.lists(_MARK, mark):
+        folder.write_bytes(_MARK, mark)
 
 
 def _finish(
+    folder: ResultFolder,
     campaign: Campaign,
+    run: Mapping[str, Any],
     plan: CampaignPlan,
     records: xr.Dataset,
     say: Callable[[str], None],
@@ -368,24 +381,23 @@ def _finish(
     """Write what belongs to the tables, and say how it went."""
     if campaign.n_resumed:
         say(f"{campaign.n_resumed} of {campaign.n_record} records were finished by an earlier run")
-    table = campaign.summary()
-    with output_file(campaign.folder / "records.nc", overwrite=True) as file:
-        write_netcdf(records, file)
+    table = read_table(folder, part_names(folder, "summary"))
+    folder.write("records.nc", lambda file: write_netcdf(records, file))
     if campaign.n_record <= MOST_CSV:
-        with output_file(campaign.folder / "summary.csv", overwrite=True) as file:
-            write_csv(table, file, index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        folder.write("summary.csv", lambda file: write_csv(table, file, index=False, date_format="%Y-%m-%dT%H:%M:%S"))
     bad = dict(bad_files or {})
     report = json.loads(records.attrs.get("records_report", "{}"))
     late = {name: report[name] for name in ("samples_late", "first_late") if name in report}
-    run = json.loads((campaign.folder / RUN_FILE).read_text(encoding="utf-8"))
-    posterior = read_tables(campaign.folder, "posterior", ["record", "time", "flag_bits", *ALONG, *ALONG_SHAPE])
-    along = directions_of(posterior, run)
+    columns = ["record", "time", "flag_bits", *ALONG, *ALONG_SHAPE]
+    posterior = read_table(folder, part_names(folder, "posterior"), columns)
+    along = directions_of(posterior, dict(run))
     words = [
         *describe(run["scan"], run["sight"], plan.shared.options.prior, table),
         *([] if along is None else least_seen(along)),
     ]
     counts = {"n_resumed": campaign.n_resumed, "bad_files": bad, **late}
-    write_run(campaign.folder, {**run, **versions(), **counts, **more, "words": words})
+    folder.finish({**run, **versions(), **counts, **more, "words": words})
+    campaign = replace(campaign, folder=folder.path)
     lines = [f"file {name}: {reason}" for name, reason in bad.items()]
     if late:
         lines.append(

@@ -29,9 +29,9 @@ from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.noise.model import Noise
-from bayes_rs.output import RUN_FILE
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior
+from bayes_rs.result_folder import RUN_FILE
 
 DRAWS = ("none", "float32", "float64", "zarr")
 """What is kept of the draws."""
@@ -246,7 +246,7 @@ def check_versions(output: str | Path) -> None:
     try:
         found = json.loads((Path(output) / RUN_FILE).read_text(encoding="utf-8")).get("packages", {})
     except (OSError, ValueError, AttributeError):
-        return  # not a folder of ours: `prepare_resumable_folder` says so
+        return  # not a folder of ours: `begin_result_folder` says so
     for name, now in number_versions().items():
         if found.get(name, now) != now:
             raise InputError(

@@ -25,15 +25,15 @@ from bayes_rs.fits.fit_job import POSTERIOR_FILE, open_result
 from bayes_rs.fits.parts import directions_of
 from bayes_rs.fits.result import group
 from bayes_rs.fits.summarizing import DIAGNOSTICS, summary
-from bayes_rs.fits.tables import part_files, read_summary, read_tables
+from bayes_rs.fits.tables import read_summary, read_tables
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import preset_names
-from bayes_rs.output import RUN_FILE
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.result_folder import RUN_FILE
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
 """Columns of the summary that the page shows."""

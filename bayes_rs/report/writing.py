@@ -7,6 +7,7 @@ from pathlib import Path
 from bayes_rs.output import output_file
 from bayes_rs.report.folder import read_folder
 from bayes_rs.report.page import render
+from bayes_rs.result_folder import list_beside
 
 REPORT_FILE = "report.html"
 
@@ -69,4 +70,6 @@ def write_report(
     found = read_folder(folder, prob=prob)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(render(found, title=title), encoding="utf-8", newline="\n")
+    if output is None:
+        list_beside(file)  # it belongs to the folder, and goes with it
     return file
