@@ -170,9 +170,7 @@ def _as_type(value: Any, annotation: Any, where: str) -> Any:
 
 def _plain(value: Any, name: str) -> Any:
     plain: Any = value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value
-    if isinstance(plain, float) and not math.isfinite(plain):
-        plain = str(plain)
-    elif hasattr(plain, "__fspath__"):
+    if (isinstance(plain, float) and not math.isfinite(plain)) or hasattr(plain, "__fspath__"):
         plain = str(plain)
     elif isinstance(plain, Mapping):
         plain = {str(key): _plain(part, name) for key, part in plain.items()}
@@ -181,5 +179,7 @@ def _plain(value: Any, name: str) -> Any:
     elif is_dataclass(plain) and not isinstance(plain, type) and options_of(type(plain)):
         plain = to_plain(plain)
     elif not (plain is None or isinstance(plain, (bool, int, float, str))):
-        raise InputError(f"Invalid {name} {plain!r}: it cannot be written to a file; give its name, or numbers and texts.")
+        raise InputError(
+            f"Invalid {name} {plain!r}: it cannot be written to a file; give its name, or numbers and texts."
+        )
     return plain

@@ -15,7 +15,6 @@ from bayes_rs.design.estimators import ESTIMATORS, estimate
 from bayes_rs.design.trial_records import even_normals, trial_records
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fitting import fit
-from bayes_rs.fits.result import group
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
@@ -218,10 +217,19 @@ def posterior_rows(
     began: float,
 ) -> list[dict[str, Any]]:
     """Fit the records, and measure the posterior against the truth."""
-    result = fit(records, scan, noise=noise, prior=prior, target=target, sampler="auto", seed=seed, show_progress=False)
-    stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    found = fit(
+        records,
+        scan,
+        noise=noise,
+        seed=seed,
+        prior=prior,
+        target=target,
+        sampler="auto",
+        draws="float64",
+        progress=False,
+    )
+    stress, of_prior = found.draws(), found.prior_draws
     flat = stress.reshape(len(stress), -1, len(STRESSES))
-    of_prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
     levels = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
     low90, low50, median, high50, high90 = np.quantile(flat, levels, axis=1)
     mean = flat.mean(axis=1)

@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import fit_into, open_fit
@@ -73,9 +74,9 @@ def fit(
     say : callable
         Takes lines that tell what is being done.
     **options
-        Fields of `FitOptions`: ``prior``, ``target``, ``sampler``, ``target_ess``, ``max_extension``,
-        ``instrument_noise``, ``nuisances``, ``prob``, ``derived``, ``draws``, ``likelihood``; and of `NoiseOptions`, for
-        noise that is made here: ``turbulence``, ``noise_method``.
+        Fields of `FitOptions`, such as ``prior``, ``target``, ``sampler``, ``nuisances``, ``instrument_noise``,
+        ``prob``, ``derived`` and ``draws``; and of `NoiseOptions`, for noise that is made here: ``turbulence`` and
+        ``noise_method``.
 
     Returns
     -------
@@ -130,7 +131,9 @@ def fit(
     plan = with_settings(plan_fit(records, used, found, own), noise=to_plain(choice))
     if output is None:
         return _in_memory(plan, workers, client, progress)
-    with NOPE(output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite) as folder:
+    with begin_result_folder(
+        output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite
+    ) as folder:
         fit_into(folder, plan, workers=workers, client=client, progress=progress)
     return open_fit(output)
 
@@ -158,7 +161,7 @@ def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]
 def with_median_length_scale(
     options: FitOptions, choice: NoiseOptions, records: xr.Dataset, noise: Noise | None
 ) -> FitOptions:
-    """Return options in which an uncertain length scale has a median: that of the turbulence, if no one says another."""
+    """Return options whose uncertain length scale has a median: that of the turbulence, if no one says another."""
     uncertain = options.nuisances
     known = uncertain.length_scale is not None or "length_scale" in records
     if uncertain.length_scale_log_sd == 0.0 or known or noise is not None:

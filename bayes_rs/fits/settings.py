@@ -1,9 +1,8 @@
-"""Everything that a fit of files depends on, in one object that is also a TOML file, the command's options and `run.json`."""
+"""Everything that a fit of files depends on: one object, a TOML file, the command's options, and in `run.json`."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.scan_file import load_scan, load_scan_text
 from bayes_rs.options import described, from_plain, nearest, option, options_of, to_plain
 from bayes_rs.output import output_file
 from bayes_rs.posteriors.nuisance import Nuisances
@@ -49,9 +48,7 @@ class ScanOptions:
     tilt_deg: float | None = option(
         None, "Another tilt; positive raises the beams that point upwind", unit="degrees", flag="--tilt"
     )
-    yaw_deg: float | None = option(
-        None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw"
-    )
+    yaw_deg: float | None = option(None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw")
     scan_toml: str | None = option(None, "The text of a scan file, in place of its name", flag="")
 
     def load(self) -> Scan:
@@ -72,10 +69,7 @@ class ScanOptions:
             if self.scan is None:
                 raise InputError("No scan is given: name one with scan (--scan), such as zx-tm or a TOML file.")
             return load_scan(self.scan, **mounted)
-        with tempfile.TemporaryDirectory() as place:
-            file = Path(place) / "scan.toml"
-            file.write_text(self.scan_toml, encoding="utf-8")
-            return replace(load_scan(file, **mounted), name=self.scan or "scan")
+        return load_scan_text(self.scan_toml, name=self.scan or "scan", **mounted)
 
 
 @described
@@ -122,8 +116,8 @@ class OutputOptions:
 class Settings:
     """Everything that a fit of files depends on, section by section.
 
-    It is the content of a settings file (TOML), with a table for each section; the options of ``bayes-rs fit``; and what
-    `run.json` holds of a run under ``settings``.
+    It is the content of a settings file (TOML), with a table for each section; the options of ``bayes-rs fit``; and
+    what `run.json` holds of a run under ``settings``.
 
     Parameters
     ----------
@@ -347,5 +341,3 @@ def _without_none(plain: dict[str, Any]) -> dict[str, Any]:
         for name, value in plain.items()
         if value is not None
     }
-
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -201,6 +202,20 @@ def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float)
     """
     sine = np.sin(opening_angle)
     return np.stack(np.broadcast_arrays(-np.cos(opening_angle), np.cos(phase) * sine, np.sin(phase) * sine), axis=-1)
+
+
+def load_scan_text(text: str, *, name: str, **changes: Any) -> Scan:
+    """Load a scan from the text of a scan file; see `load_scan` for the changes.
+
+    Raises
+    ------
+    InputError
+        If the text is not that of a scan file, or a change does not apply.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "scan.toml"
+        file.write_text(text, encoding="utf-8")
+        return replace(load_scan(file, **changes), name=name)
 
 
 def as_scan(scan: str | Path | Scan) -> Scan:

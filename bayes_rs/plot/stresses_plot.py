@@ -34,7 +34,7 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
     -------
     figure : Figure
         Six panels: median, central 50 % band and central `prob` band; of a fit that kept no draws, median and
-        highest-density interval of its summary. Records that were not fitted or are flagged are marked along the bottom.
+        highest-density interval of its summary. Records that were not fitted or are flagged are marked below.
 
     Raises
     ------

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import lzma
-import os
 import time
 import zipfile
 import zlib
@@ -29,6 +29,7 @@ from bayes_rs.readers.registry import SUFFIXES
 from bayes_rs.readers.streaming import stream_radial_velocity
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
+from bayes_rs.result_folder import ResultFolder
 
 CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
@@ -36,7 +37,7 @@ SAVE_SECONDS = 20.0
 """Reading that is lost at most, beside that of one file, when a run is interrupted."""
 _PEEK = 1000
 _HEAD = 65_536  # bytes
-_STATE = "state.npz"
+_STATE = "records/state.npz"
 _UNREADABLE = (
     ValueError,
     OSError,
@@ -88,7 +89,7 @@ class _Progress:
 def store_records(
     files: str | Path | Sequence[str | Path],
     scan: Scan,
-    folder: Path,
+    folder: ResultFolder,
     *,
     reading: Mapping[str, Any] | None = None,
     chunk_rows: int | None = None,
@@ -104,8 +105,8 @@ def store_records(
         Files, folders and patterns, as for `stream_radial_velocity`.
     scan : Scan
         The scan they were measured with.
-    folder : Path
-        Where parts of the records are kept; of the same scan and options, if it exists.
+    folder : ResultFolder
+        The folder of results, where parts of the records are kept below ``records``; of the same scan and options.
     reading : dict, optional
         Options of `stream_radial_velocity`.
     chunk_rows : int, optional
@@ -136,9 +137,6 @@ def store_records(
     paths = found.paths
     given = dict(reading or {})
     given.pop("on_bad_file", None)
-    folder.mkdir(parents=True, exist_ok=True)
-    for leftover in folder.glob(".[0-9]*"):  # what an interrupted run had half written
-        leftover.unlink()
     done = _load(folder)
     _check_unchanged(paths, done)
     left = [path for path in paths if _name(path) not in done.files]
@@ -147,13 +145,13 @@ def store_records(
         done = _read_all(left, scan, folder, done, given, chunk_rows or CHUNK_ROWS, lateness, options, show_progress)
     except BaseException as error:
         error.add_note(
-            f"What was made of the files so far is kept in {str(folder)!r}: the same call with resume goes on from it."
+            f"What was made of the files so far is kept in {str(folder.path)!r}: the same call with resume goes on from it."
         )
         raise
     if len(done.bad) == len(paths):
         first = next(iter(done.bad.values()))
         raise InputError(f"None of the {len(paths)} files can be used; the first: {first}")
-    parts = [_open(_part(folder, index)) for index in range(done.n_part)]
+    parts = [_open(folder, index) for index in range(done.n_part)]
     records = join_blocks(parts, done.state, scan, **options)
     if done.read:
         bad = [path for path in paths if _name(path) in done.bad]
@@ -171,7 +169,7 @@ def store_records(
 def _read_all(
     left: Sequence[Path],
     scan: Scan,
-    folder: Path,
+    folder: ResultFolder,
     done: _Progress,
     given: Mapping[str, Any],
     chunk_rows: int,
@@ -316,22 +314,24 @@ def _check_unchanged(paths: Sequence[Path], done: _Progress) -> None:
             )
 
 
-def _part(folder: Path, index: int) -> Path:
-    return folder / f"part-{index:06d}.nc"
+def _part(index: int) -> str:
+    return f"records/part-{index:06d}.nc"
 
 
-def _open(file: Path) -> xr.Dataset:
-    return xr.load_dataset(file, engine="h5netcdf").drop_encoding()
+def _open(folder: ResultFolder, index: int) -> xr.Dataset:
+    return xr.load_dataset(io.BytesIO(folder.read(_part(index))), engine="h5netcdf").drop_encoding()
 
 
-def _save(folder: Path, done: _Progress, blocks: list[xr.Dataset], scan: Scan, options: Mapping[str, Any]) -> _Progress:
+def _save(
+    folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], scan: Scan, options: Mapping[str, Any]
+) -> _Progress:
     """Write the new records as one part, then the state that counts it: a part without it is written again."""
     if blocks:
         empty: IntArray = np.empty(0, dtype=np.int64)
         columns = {name: values[:0] for name, values in done.state.columns.items()}
         closed = replace(done.state, time=empty, beam=empty, columns=columns)
         part = join_blocks(blocks, closed, scan, **options)
-        _whole(_part(folder, done.n_part), lambda file: write_netcdf(part, file))
+        folder.write(_part(done.n_part), lambda file: write_netcdf(part, file))
         done = replace(done, n_part=done.n_part + 1)
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}
@@ -340,34 +340,22 @@ def _save(folder: Path, done: _Progress, blocks: list[xr.Dataset], scan: Scan, o
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
     text = np.array(json.dumps(meta, default=lambda value: value.tolist()))
     entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
-    _whole(folder / _STATE, lambda file: np.savez(file, **entries))
+    folder.write(_STATE, lambda file: np.savez(file, **entries))
     return done
 
 
-def _load(folder: Path) -> _Progress:
-    """Return what an interrupted run had done; nothing, if that cannot be read."""
+def _load(folder: ResultFolder) -> _Progress:
+    """Return what an interrupted run had done; nothing, if a file of it is gone or was changed."""
     try:
-        with np.load(folder / _STATE) as found:
+        with np.load(io.BytesIO(folder.read(_STATE))) as found:
             meta = json.loads(str(found["meta"]))
             columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
             beam_time = {"time": found["time"], "beam": found["beam"]}
         for index in range(meta["n_part"]):
-            _open(_part(folder, index))
+            folder.checked(_part(index))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return _Progress()
     state = meta.pop("state")
     state["latest_of_beam"] = {int(beam): int(latest) for beam, latest in state["latest_of_beam"]}
     state["source_files"] = tuple(state["source_files"])
     return _Progress(state=StreamState(**beam_time, columns=columns, **state), **meta)
-
-
-def _whole(file: Path, write: Any) -> None:
-    """Write a file that appears whole or not at all."""
-    part = file.with_name(f".{os.getpid()}.{file.name}")
-    try:
-        write(part)
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)

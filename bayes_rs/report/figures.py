@@ -12,8 +12,8 @@ from bayes_rs.fits.flags import MISFIT_LIMIT
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
-from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.packing import pack, pack_rows, pack_steps, plain
+from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, time_axis
 
 DRAW_BYTES = 2_400_000

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.flags import FAILURES, FLAGS
+from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.records.making import describe_report
 from bayes_rs.report import figures, words
@@ -427,7 +427,7 @@ def _diagnostics_section(found: ReportData) -> str:
         flags.append(
             (
                 name,
-                words.FLAG_MEANINGS.get(name, ""),
+                FLAG_MEANINGS.get(name, ""),
                 "failure" if bit & FAILURES else "remark",
                 first + more or "–",
                 str(len(where)),

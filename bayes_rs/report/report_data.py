@@ -102,8 +102,8 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
     own = fit.settings["fit"]
     if prob is not None and prob != own["prob"] and not fit.has_draws:
         raise InputError(
-            f"Invalid prob {prob!r}: the fit kept no draws, and its summary holds intervals of {own['prob']:g}; leave it "
-            "out, or fit again with --prob."
+            f"Invalid prob {prob!r}: the fit kept no draws, and its summary holds intervals of {own['prob']:g}; leave "
+            "it out, or fit again with --prob."
         )
     names = tuple(dict.fromkeys(("ti", *own["derived"]))) if fit.has_draws else tuple(own["derived"])
     table = fit.summary(prob=prob, derived=names)

@@ -10,6 +10,7 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.output import output_file
 from bayes_rs.report.page import render
 from bayes_rs.report.report_data import report_data
+from bayes_rs.result_folder import list_beside
 
 REPORT_FILE = "report.html"
 
@@ -45,7 +46,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder is not of a fit, the fit is in memory and no file is named, the file exists and may not be replaced, or prob cannot be had.
+        If the folder is not of a fit, the fit is in memory and no file is named, the file exists and may not be
+        replaced, or prob cannot be had.
 
     Notes
     -----
@@ -72,4 +74,6 @@ def write_report(
     data = report_data(found, prob=prob)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(render(data, title=title), encoding="utf-8", newline="\n")
+    if output is None:
+        list_beside(file)  # it belongs to the folder, and goes with it
     return file
