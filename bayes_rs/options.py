@@ -38,6 +38,8 @@ class About:
         have it.
     metavar : str
         What stands for its value in the help, as ``"OURS=THEIRS"``.
+    open : bool
+        Whether other values than the listed ones are possible, too.
     """
 
     help: str
@@ -45,6 +47,7 @@ class About:
     choices: str | tuple[str, ...] = ""
     flag: str | None = None
     metavar: str = ""
+    open: bool = False
 
 
 def option(
@@ -55,9 +58,10 @@ def option(
     choices: str | tuple[str, ...] = "",
     flag: str | None = None,
     metavar: str = "",
+    open: bool = False,  # noqa: A002 - an open list of choices
 ) -> Any:
     """Return a dataclass field that says what its option is; see `About`."""
-    about = {_KEY: About(help=help, unit=unit, choices=choices, flag=flag, metavar=metavar)}
+    about = {_KEY: About(help=help, unit=unit, choices=choices, flag=flag, metavar=metavar, open=open)}
     if isinstance(default, (dict, list)):
         return field(default_factory=default.copy, metadata=about)
     return field(default=default, metadata=about)

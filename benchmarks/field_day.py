@@ -57,7 +57,7 @@ def intensity(
     own = [float(end(records["length_scale"])) for end in (np.min, np.max)] if "length_scale" in records else None
     noise, words = noise_for_records(records, scan.select(records["beam"].values), flow, length_scale=own)
     print(words)
-    table = brs.summary(brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise), derived=["ti"])
+    table = brs.summary(.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise), derived=["ti"])
     return table[table["stress"] == "ti"].dropna(subset="mean").merge(reference, left_on="time", right_on="Timestamp")
 
 

@@ -101,7 +101,7 @@ def study(n_record: int) -> pd.DataFrame:
             records = drawn_records(
                 scan, noise, factor * brs.radial_variance(scan, truth), some, np.random.default_rng(1)
             )
-            options = {"noise": noise, "seed": 1, "show_progress": False}
+            options = {"noise": noise, "seed": 1, "progress": False}
             table = brs.compare_inflow(records, scan, nuisances=NUISANCES, leave_one_out=False, **options)
             exact = exact_bias(scan, noise, truth, factor)
             left_out = records.copy(deep=True)
@@ -111,7 +111,7 @@ def study(n_record: int) -> pd.DataFrame:
                 fits.append(("sector left out", left_out, None))
             for fit, data, nuisances in fits:
                 result = brs.fit(data, scan, sampler="auto", nuisances=nuisances, **options)
-                summary = brs.summary(result)
+                summary = result.summary()
                 for index, stress in enumerate(brs.STRESSES):
                     part = summary[summary["stress"] == stress]
                     held = (part["hdi_low"] <= truth[index]) & (truth[index] <= part["hdi_high"])

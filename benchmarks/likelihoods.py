@@ -221,7 +221,7 @@ def measure(n_record: int, priors: list[str]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def summary(table: pd.DataFrame) -> list[str]:
+def table.summary(: pd.DataFrame) -> list[str]:
     """Return the rows of docs/likelihood.md: means over scans and stresses, and the largest error of a coverage."""
     rows = []
     for (prior, source, name), part in table.groupby(["prior", "source", "likelihood"], sort=False):
@@ -253,7 +253,7 @@ def main() -> None:
     arguments.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(arguments.output / "likelihoods.csv", index=False, float_format="%.4g")
     table = pd.read_csv(arguments.output / "likelihoods.csv")  # rounded, as the page has it
-    print("\n".join(summary(table) + costs(table)))
+    print("\n".join(table.summary() + costs(table)))
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def posterior(label: str, scan: brs.Scan, variance: np.ndarray, sonic: np.ndarra
     records = records_of(variance, scan)
     records["wind_speed"] = ("record", np.full(len(variance), WIND_SPEED))
     records.attrs["duration"] = 600.0
-    table = brs.summary(brs.fit(records, scan, noise=noise, seed=1, sampler="auto"))
+    table = brs.summary(.fit(records, scan, noise=noise, seed=1, sampler="auto"))
     truth = brs.sonic_moments(scan, turbulence, wind_speed=WIND_SPEED, duration=600.0).mean
     rows = []
     for index, name in enumerate(brs.STRESSES):

@@ -40,7 +40,7 @@ def compare(
                 noise, _ = brs.noise_for_records(records, scan, flow)
                 result = brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise)
                 for frame in ("wind", "lidar"):
-                    table = brs.summary(result, derived=["tke"] if frame == "wind" else [], frame=frame)
+                    table = result.summary(derived=["tke"] if frame == "wind" else [], frame=frame)
                     table = table.merge(plain_inversion(records, scan, frame), on=["record", "stress"], how="left")
                     tables.append(table.assign(record=number, height=height, duration=duration, frame=frame))
     return pd.concat(tables, ignore_index=True)

@@ -185,7 +185,7 @@ class TestScience:
         by_hand = weight @ draws
         error = np.sqrt(weight**2 @ (draws - by_hand) ** 2)
         records["yaw"] = ("record", [0.0])  # the noise is for yaw 0
-        table = brs.summary(brs.fit(records, scan, noise=noise, prior=prior, seed=1, sampler="direct", target_ess=4000))
+        table = brs.summary(.fit(records, scan, noise=noise, prior=prior, seed=1, sampler="direct", target_ess=4000))
         gap = table["mean"].to_numpy() - by_hand
         assert (np.abs(gap) < 4.5 * np.hypot(error, table["mcse_mean"].to_numpy())).all()
 
@@ -210,7 +210,7 @@ class TestScience:
         result = brs.fit(records, scan, noise=noise, seed=1, sampler="direct")
         posterior = result["posterior/stress"].values.reshape(-1, 6)
         prior = result["prior/stress"].values.reshape(-1, 6)
-        table = brs.summary(result, derived=["tke", "friction_velocity", "ti"]).set_index("stress")
+        table = result.summary(derived=["tke", "friction_velocity", "ti"]).set_index("stress")
         shape, prior_shape = (draws / draws[:, :3].sum(axis=1, keepdims=True) for draws in (posterior, prior))
         names = list(brs.STRESSES)
         ratio = posterior.var(axis=0) / prior.var(axis=0)

@@ -196,7 +196,7 @@ class TestPosterior:
         prior, noise = centred_prior(SEED, 0.4), brs.theory_noise(scan, SEED, wind_speed=10.0, duration=hours)
         variance = noise.gain @ SEED.stresses() * np.exp(-0.5 * np.log1p(np.diag(noise.covariance)))
         records = records_of(variance[np.newaxis], scan).assign_attrs(duration=hours)
-        result = brs.fit(records, scan, noise=noise, prior=prior, seed=1, target_ess=4000, show_progress=False)
+        result = brs.fit(records, scan, noise=noise, prior=prior, seed=1, target_ess=4000, progress=False)
         draws = result["posterior"]["stress"].transpose("component", ...).values.reshape(6, -1)
         low, high = np.quantile(draws, [0.05, 0.95], axis=1)
         expected = make_criterion("width", turbulence=SEED, prior=prior, duration=hours).widths(scan)[0]

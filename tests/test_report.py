@@ -17,7 +17,7 @@ from report_scene import EVIL, demo_records, evil_folder, result_folder, table_f
 from bayes_rs import STRESSES, InputError, open_result, read_summary, summary, write_report
 from bayes_rs.cli.report_command import report
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.result import FLAGS, group
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.folder import NUMBERS, read_folder
@@ -115,7 +115,7 @@ class Elements(HTMLParser):
 class TestNumbers:
     def test_a_full_result_gives_the_numbers_of_its_summary(self, full):
         found = read_folder(full)
-        expected = summary(open_result(full), prob=0.9, derived=("ti",))
+        expected = open_result.summary((full), prob=0.9, derived=("ti",))
         for name in NUMBERS:
             rows = expected[expected["stress"].isin(STRESSES)][name].to_numpy().reshape(-1, 6)
             np.testing.assert_array_equal(found.numbers[name], rows)
@@ -133,7 +133,7 @@ class TestNumbers:
 
     def test_another_probability_is_computed_from_the_draws(self, full):
         half = read_folder(full, prob=0.5)
-        expected = summary(open_result(full), prob=0.5)
+        expected = open_result.summary((full), prob=0.5)
         np.testing.assert_array_equal(half.numbers["hdi_low"].ravel(), expected["hdi_low"])
         assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
 

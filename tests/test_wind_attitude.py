@@ -110,7 +110,7 @@ def test_fit_uses_the_attitude_of_each_record(name, banked):
 
     def distance(given):
         found = fit(given, scan, noise=model, seed=1, prior=prior, sampler="direct", target_ess=300)
-        table = summary(found)
+        table = found.summary()
         return np.abs(table["mean"].to_numpy() - stress[0]) / table["sd"].to_numpy()
 
     assert (

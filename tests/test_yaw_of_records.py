@@ -33,7 +33,7 @@ class TestCampaign:
     def test_the_size_of_a_part_changes_no_number(self, records, monkeypatch, tmp_path, size):
         monkeypatch.setattr(campaign_plan, "PART_RECORDS", size)
         found = brs.fit_campaign(records, SCAN, tmp_path / "out", nuisances=OWN, **OPTIONS).summary()
-        expected = brs.summary(brs.fit(records, SCAN, nuisances=OWN, **OPTIONS))
+        expected = brs.summary(.fit(records, SCAN, nuisances=OWN, **OPTIONS))
         pd.testing.assert_frame_equal(found[expected.columns], expected, check_exact=True, check_dtype=False)
 
     def test_other_deviations_are_another_campaign(self, records, tmp_path):
@@ -59,7 +59,7 @@ class TestJobs:
         np.testing.assert_array_equal(records["yaw_sd"], wind["yaw_sd"])
         noise = brs.load_noise(tmp_path / "noise.nc")
         plain = {"noise": noise, "target_ess": 100, "seed": 3, "sampler": "auto", "nuisances": more["nuisances"]}
-        expected = brs.summary(brs.fit(wind, scan, **plain))
+        expected = brs.summary(.fit(wind, scan, **plain))
         pd.testing.assert_frame_equal(one[expected.columns], expected, check_exact=True, check_dtype=False)
         assert any(
             line.startswith("uncertainty of the wind's direction: from the beams' means") and "records without" in line
@@ -142,10 +142,10 @@ class TestCommand:
         np.testing.assert_array_equal(found["yaw_sd"], wind["yaw_sd"])
         noise = brs.load_noise(inputs / "noise.nc")
         options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 100, "nuisances": OWN}
-        expected = brs.summary(brs.fit(wind, scan, **options))
+        expected = brs.summary(.fit(wind, scan, **options))
         table = pd.read_csv(tmp_path / "out" / "summary.csv")
         np.testing.assert_allclose(table["mean"], expected["mean"], rtol=1e-12)
-        plain = brs.summary(brs.fit(wind, scan, **{**options, "nuisances": None}))
+        plain = brs.summary(.fit(wind, scan, **{**options, "nuisances": None}))
         assert not np.allclose(plain["mean"], expected["mean"], rtol=1e-6)
 
     @pytest.mark.parametrize(

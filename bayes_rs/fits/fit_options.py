@@ -57,6 +57,7 @@ class FitOptions:
         "weak",
         "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, or in Python a prior",
         choices="bayes_rs.priors.registry:PRIORS",
+        open=True,
     )
     target: str = option("record", "Which R", choices=tuple(TARGETS))
     sampler: str = option("emcee", "How the posterior is sampled", choices="bayes_rs.posteriors.sampling:SAMPLERS")
@@ -146,7 +147,12 @@ class NoiseOptions:
     """
 
     noise: str | None = option(None, "Noise file; by default the noise is made for the records' winds", metavar="FILE")
-    turbulence: str = option("fu-2022", "Turbulence that the noise is made for: a name or a TOML file")
+    turbulence: str = option(
+        "fu-2022",
+        "Turbulence that the noise is made for: a name or a TOML file",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
+    )
     noise_method: str = option(
         "theory", "How the noise is made", choices="bayes_rs.calibration.calibrating:METHODS", flag="--noise-method"
     )

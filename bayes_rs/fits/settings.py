@@ -39,7 +39,8 @@ class ScanOptions:
     scan: str | None = option(
         None,
         "A name that bayes-rs scans lists, or a TOML file; changes follow an @, as in zx-tm@probe=point",
-        choices="bayes_rs.models:SCAN_NAMES",
+        choices="bayes_rs.models:SCANS",
+        open=True,
     )
     opening_angle_deg: float | None = option(
         None, "Another half-cone opening angle", unit="degrees", flag="--opening-angle"

@@ -407,7 +407,7 @@ def posteriors_follow_their_data(rng: np.random.Generator) -> None:
         prior = brs.WeakPrior(median_uu=unit)  # the prior has a size, too
         seed = int(rng.integers(1000))
         result = brs.fit(records_of(data[None], of), of, noise=with_noise, seed=seed, sampler="auto", prior=prior)
-        table = brs.summary(result).set_index("stress")
+        table = result.summary().set_index("stress")
         tables.append((table["mean"] / unit, table["sd"] / unit, table["mcse_mean"] / unit))
     mean, sd, error = tables[0]
     for other_mean, _, other_error in tables[1:]:

@@ -7,7 +7,7 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance, summary
-from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseModel
 from bayes_rs.priors.registry import FlatPrior
@@ -176,4 +176,4 @@ def test_a_beam_ten_times_too_energetic_is_told():
     assert np.isfinite(draws).all()
     flags = result["sample_stats/flag"].values & FLAGS["contradicts_model"]
     np.testing.assert_array_equal(flags != 0, np.arange(5) == 2)
-    assert summary(result).query("record == 2")["flag"].str.contains("contradicts_model").all()
+    assert result.summary().query("record == 2")["flag"].str.contains("contradicts_model").all()
