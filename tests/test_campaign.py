@@ -33,7 +33,9 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
-from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
+from bayes_rs.fits import campaign, tables
+from bayes_rs.fits import parts as campaign_parts
+from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits.result import FLAGS, group
 
 pytestmark = pytest.mark.slow
@@ -263,7 +265,7 @@ class TestFolder:
             "import resource, sys\n"
             f"sys.path.insert(0, {str(TESTS)!r})\n"
             "from campaign_scene import OPTIONS, SCAN, make_records\n"
-            "from bayes_rs.fits import campaign, campaign_plan\n"
+            "from bayes_rs.fits import campaign, plan as campaign_plan\n"
             "campaign_plan.PART_RECORDS = 64\n"
             "campaign.fit_campaign(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', **OPTIONS)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
@@ -421,7 +423,7 @@ class TestResume:
         before = {name: parts(folder, name) for name in ("summary", "posterior")}
         # each part is two files: the file with that number is not there, but in its place a half-written one
         assert (len(before["summary"]), len(before["posterior"])) == (-(-number // 2), number // 2)
-        assert len(list(folder.glob("**/.part-*"))) == 1
+        assert len(list(folder.glob("**/.half.part-*"))) == 1
         assert json.loads((folder / "run.json").read_text())["finished"] is False
         both = set(before["summary"]) & set(before["posterior"])
         found = fit_campaign(records, SCAN, folder, resume=True, **OPTIONS)
@@ -430,7 +432,7 @@ class TestResume:
         for name in ("summary", "posterior"):
             assert {file: before[name][file] for file in both} == {file: after[name][file] for file in both}
         same_folders(folder, plain)
-        assert not list(folder.glob("**/.part-*"))
+        assert not list(folder.glob("**/.half.part-*"))
         assert (folder / "run.json").read_bytes() == (plain / "run.json").read_bytes()
 
     def test_what_is_finished_of_an_interrupted_run_can_be_read(self, plain, tmp_path):
@@ -567,7 +569,7 @@ class TestFailures:
             fit_campaign(records, SCAN, tmp_path / "out", workers=workers, **OPTIONS)
         assert "with resume goes on from there" in caught.value.__notes__[0]
         assert time.monotonic() - began < 60.0
-        assert not list((tmp_path / "out").glob("**/.part-*"))
+        assert not list((tmp_path / "out").glob("**/.half.part-*"))
         monkeypatch.setattr(pd.DataFrame, "to_parquet", write)
         assert fit_campaign(records, SCAN, tmp_path / "out", resume=True, **OPTIONS).n_resumed == PART
         same_folders(tmp_path / "out", plain)

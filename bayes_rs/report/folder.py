@@ -25,7 +25,7 @@ from bayes_rs.fits.fit_job import POSTERIOR_FILE, open_result
 from bayes_rs.fits.parts import directions_of
 from bayes_rs.fits.result import group
 from bayes_rs.fits.summarizing import DIAGNOSTICS, summary
-from bayes_rs.fits.tables import read_summary, read_tables
+from bayes_rs.fits.tables import part_names, read_summary, read_table, read_tables
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
@@ -33,7 +33,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import preset_names
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
-from bayes_rs.result_folder import RUN_FILE
+from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
 """Columns of the summary that the page shows."""
@@ -344,19 +344,19 @@ def _evenly(n_all: int, n: int) -> NDArray[np.int64]:
 
 def _stored_draws(path: Path, record: NDArray[np.int64]) -> Callable[[int], FloatArray] | None:
     """Return how to read the draws of a long fit; None if it kept none, or none that can be read here."""
-    parts = part_files(path, "draws")
-    if parts:
-        return lambda n: _draws_of_tables(parts, record, n)
+    folder = open_result_folder(path)
+    if part_names(folder, "draws"):
+        return lambda n: _draws_of_tables(folder, record, n)
     store = path / "draws.zarr"
     if store.is_dir() and find_spec("zarr") is not None:
         return lambda n: _draws_of_store(store, record, n)
     return None
 
 
-def _draws_of_tables(parts: list[Path], record: NDArray[np.int64], n: int) -> FloatArray:
+def _draws_of_tables(folder: ResultFolder, record: NDArray[np.int64], n: int) -> FloatArray:
     found = np.full((len(record), n, len(STRESSES)), np.nan)
-    for part in parts:
-        table = pd.read_parquet(part)
+    for part in part_names(folder, "draws"):
+        table = read_table(folder, [part])
         values = table[list(STRESSES)].to_numpy(dtype=np.float64)
         number = table["record"].to_numpy()
         starts = np.flatnonzero(np.diff(number, prepend=-1))  # a record's draws stand together
