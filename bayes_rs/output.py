@@ -15,6 +15,7 @@ from bayes_rs.folder_place import (
     cannot_write,
     check_free,
     check_inputs,
+    check_place,
     finish_replacing,
     make_folder,
     replaced_of,
@@ -54,7 +55,12 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         If the folder exists and may not be replaced, another run is writing it, or its parent cannot be written.
     """
     final = Path(path)
-    with _alone(final, overwrite=overwrite), _fresh_folder(final, overwrite=overwrite) as part:
+    try:
+        check_place(final)
+        alone = _alone(final, overwrite=overwrite)
+    except OSError as error:
+        raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
+    with alone, _fresh_folder(final, overwrite=overwrite) as part:
         yield part
 
 
@@ -210,6 +216,7 @@ def check_output_folder(path: str | Path, *, overwrite: bool = False, inputs: It
     """
     final = Path(path)
     try:
+        check_place(final)
         check_inputs(final, inputs)
         check_free(final, overwrite=overwrite)
         with _alone(final, overwrite=overwrite):

@@ -219,7 +219,7 @@ class ResultFolder:
         """Remove what an interrupted run had half written; what it had written whole and listed takes its name."""
         for half in sorted(self.path.rglob(f"{HALF}*")):
             name = half.with_name(half.name.removeprefix(HALF)).relative_to(self.path).as_posix()
-            if name == MARK.removeprefix(HALF):
+            if half == self.path / MARK and self.path != self.final:
                 continue
             self._place_for(name)
             if (

@@ -678,7 +678,7 @@ class TestBadOutput:
         folder.mkdir()
         (folder / "chapter.tex").write_text("years of work")
         answer = fit(inputs / "good.csv", "--overwrite", output=folder)
-        refusal(*answer, str(folder), "was not made by bayes-rs (it has no run.json)", "remove it yourself")
+        refusal(*answer, str(folder), "was not made by bayes-rs (it has no fingerprints.jsonl)", "remove it yourself")
         assert (folder / "chapter.tex").read_text() == "years of work"
 
     def test_a_place_that_cannot_be_written(self, fit, inputs, tmp_path):

@@ -138,6 +138,8 @@ def store_records(
     given = dict(reading or {})
     given.pop("on_bad_file", None)
     done = _load(folder)
+    for name in set(folder.names("records/part-")) - {_part(index) for index in range(done.n_part)}:
+        folder.remove(name)  # what no state counts: it is made again
     _check_unchanged(paths, done)
     left = [path for path in paths if _name(path) not in done.files]
     n_resumed = len(paths) - len(left)
@@ -145,7 +147,8 @@ def store_records(
         done = _read_all(left, scan, folder, done, given, chunk_rows or CHUNK_ROWS, lateness, options, show_progress)
     except BaseException as error:
         error.add_note(
-            f"What was made of the files so far is kept in {str(folder.path)!r}: the same call with resume goes on from it."
+            f"What was made of the files so far is kept in {str(folder.path)!r}: the same call with resume goes on "
+            "from it."
         )
         raise
     if len(done.bad) == len(paths):
