@@ -1,8 +1,6 @@
+from . import noise as noise
+from . import turbulence as turbulence
 from ._version import __version__ as __version__
-from .calibration.bank import theory_bank as theory_bank
-from .calibration.calibrating import calibrate as calibrate
-from .calibration.choice import noise_for_records as noise_for_records
-from .calibration.store import find_shipped_noise as find_shipped_noise
 from .design.comparing import compare as compare
 from .design.comparison_plot import plot_comparison as plot_comparison
 from .design.estimators import estimate as estimate
@@ -54,13 +52,7 @@ from .geometry.stress import principal_variances as principal_variances
 from .geometry.stress import rotate_stress as rotate_stress
 from .geometry.stress import unpack_stress as unpack_stress
 from .models import demo_file as demo_file
-from .noise.gaps import gap_noise as gap_noise
-from .noise.model import NoiseBank as NoiseBank
-from .noise.model import NoiseModel as NoiseModel
-from .noise.model import RecordNoise as RecordNoise
-from .noise.reading import load_noise as load_noise
-from .noise.theory import sonic_moments as sonic_moments
-from .noise.theory import theory_noise as theory_noise
+from .noise.noise import Noise as Noise
 from .plot.lumley_plot import plot_lumley as plot_lumley
 from .plot.plots import plot_corner as plot_corner
 from .plot.plots import plot_stresses as plot_stresses

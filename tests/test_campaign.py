@@ -24,17 +24,17 @@ from bayes_rs import (
     InputError,
     MannTurbulence,
     MissingExtraError,
-    NoiseBank,
     Nuisances,
     fit,
     fit_campaign,
     load_scan,
     read_summary,
     summary,
-    theory_noise,
 )
 from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
 from bayes_rs.fits.result import FLAGS, group
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -196,7 +196,7 @@ class TestNumbers:
     def test_records_outside_the_noise_bank_are_marked(self, records, tmp_path):
         some = records.isel(record=slice(0, 4)).assign(wind_speed=("record", [10.0, 30.0, np.nan, 10.0]))
         slower = NOISE.__class__(**{**vars(NOISE), "wind_speed": 9.0})
-        options = {**OPTIONS, "noise": NoiseBank((slower, NOISE))}
+        options = {**OPTIONS, "noise": Noise.join((slower, NOISE))}
         folder = fit_campaign(some, SCAN, tmp_path / "out", **options).folder
         assert pd.read_parquet(folder / "posterior")["outside_noise"].tolist() == [False, True, False, False]
         assert json.loads((folder / "run.json").read_text())["n_outside_noise"] == 1

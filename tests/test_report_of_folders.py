@@ -13,7 +13,6 @@ from folder_scene import DURATION, FITTING, FLOW, RECORDING
 from bayes_rs import (
     InputError,
     WeakPrior,
-    calibrate,
     directions,
     fit,
     fit_campaign,
@@ -30,6 +29,7 @@ from bayes_rs import (
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
+from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow

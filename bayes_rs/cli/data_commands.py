@@ -17,7 +17,7 @@ from bayes_rs.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from bayes_rs.noise.model import Noise
+    from bayes_rs.noise.noise import Noise
 
 
 @click.command()
@@ -130,20 +130,18 @@ def calibrate(
     **scan_options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
-    from bayes_rs.calibration.calibrating import calibrate as run_calibration
+    from bayes_rs.noise.box_noise import Boxes
+    from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
-    from bayes_rs.turbulence.mann import load_turbulence
 
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
             chosen_scan({"scan_name": scan, **scan_options}),
-            load_turbulence(turbulence),
-            wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
-            yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
+            turbulence,
+            wind_speed=wind_speed,
+            yaw_deg=noise_yaw or None,
             duration=duration,
-            method=method,
-            n_boxes=n_boxes,
-            seed=seed,
+            method=Boxes(n_boxes=n_boxes, seed=seed) if method == "boxes" else method,
             sonic=sonic,
         )
         noise.save(part)
@@ -154,9 +152,8 @@ def calibrate(
 
 def _noise_lines(noise: Noise) -> list[str]:
 
-    models = noise.models
     return [
-        f"wind {model.wind_speed:g} m/s: relative standard deviation of a beam variance "
-        f"{model.relative_error.min():.3f} to {model.relative_error.max():.3f}"
-        for model in models
+        f"wind {wind_speed:g} m/s: relative standard deviation of a beam variance "
+        f"{error.min():.3f} to {error.max():.3f}"
+        for wind_speed, error in zip(noise.wind_speed, noise.relative_error, strict=True)
     ]

@@ -36,7 +36,7 @@ from bayes_rs.fits.workers import check_client, run_dask, run_processes, run_ser
 from bayes_rs.folder_lock import locked
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.output import prepare_resumable_folder, write_run
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior
@@ -165,7 +165,7 @@ def fit_campaign(
     >>> scan, flow = brs.load_scan("2-beam"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=3, seed=1)
     >>> records = brs.make_records(series, scan)
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
+    >>> noise = brs.noise.calibrate(scan, flow, wind_speed=10.0, cache=False)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     campaign = fit_campaign(records, scan, f"{folder}/year", noise=noise, seed=1)
     ...     len(campaign.summary()), campaign.n_fitted

@@ -55,7 +55,7 @@ def directions(result: xr.DataTree, scan: Scan) -> pd.DataFrame:
     --------
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("4-beam"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
+    >>> noise = brs.noise.calibrate(scan, flow, wind_speed=10.0, cache=False)
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=1, seed=1), scan)
     >>> table = directions(brs.fit(records, scan, noise=noise, seed=1, sampler="direct"), scan)
     >>> table["seen"].tolist()

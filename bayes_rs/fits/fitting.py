@@ -15,7 +15,7 @@ from bayes_rs.fits.result import FLAGS, assemble
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
@@ -59,8 +59,8 @@ def fit(
         ask for it, also ``yaw_sd`` (degree), as from `mean_wind`.
     scan : Scan
         The scan that measured them.
-    noise : NoiseModel or NoiseBank
-        From `calibrate`, `theory_bank` or `load_noise`, made for this scan and record length. Each record gets the
+    noise : Noise
+        From `noise.calibrate` or `noise.load`, made for this scan and record length. Each record gets the
         noise of its own wind speed and direction if the states of a bank form a net, and of its own ``length_scale``
         (m) and ``gamma`` if they hold them: then the bank must span several, unless that which it knows is theirs,
         to a per cent. The attribute ``n_outside_noise`` of the result counts the records outside the bank, which use
@@ -323,10 +323,10 @@ def _check_flow(records: xr.Dataset, noise: Noise, nuisances: Nuisances) -> None
     """Refuse records with a turbulence of their own that the noise would leave aside."""
     averaged = nuisances.length_scale_log_sd > 0.0
     for name, unit, remedy in (
-        ("length_scale", " m", "noise_for_records(..., length_scale=[shortest, longest])"),
-        ("gamma", "", "theory_bank(..., gamma=[lowest, highest])"),
+        ("length_scale", " m", "noise.calibrate(scan, records=records)"),
+        ("gamma", "", "noise.calibrate(scan, records=records)"),
     ):
-        known = np.array([getattr(model.turbulence, name) for model in noise.models])
+        known = np.asarray(getattr(noise, name))
         if name not in records or np.ptp(known) > 0.0 or (averaged and name == "length_scale"):
             continue
         own = np.asarray(records[name].values, dtype=np.float64)

@@ -43,7 +43,7 @@ def lidar_frame_stress(result: xr.DataTree) -> xr.DataArray:
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("6-beam", yaw_deg=20.0), brs.load_turbulence("fu-2022")
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=1, seed=1), scan)
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, method="theory", cache=False)
+    >>> noise = brs.noise.calibrate(scan, flow, wind_speed=10.0, method="theory", cache=False)
     >>> result = brs.fit(records, scan, noise=noise, seed=1, target_ess=200)
     >>> lidar_frame_stress(result).dims
     ('chain', 'draw', 'record', 'component')

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
 
@@ -28,18 +28,17 @@ def noise_of_job(
     if given is not None:
         noise = given
     else:
-        from bayes_rs.calibration.choice import noise_for_records  # noqa: PLC0415 - not needed with a file
-        from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - nor this
+        from bayes_rs.noise.calibrating import calibrate  # noqa: PLC0415 - not needed with a file
 
-        noise, words = noise_for_records(
-            records,
-            scan.select(records["beam"].values),
-            load_turbulence(turbulence),
+        noise = calibrate(
+            scan,
+            turbulence,
+            records=records,
             method=method,
             sonic=sonic,
             length_scale=_length_scales(records, nuisances),
         )
-        say(words)
+        say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
     if words := about_probe(noise, records):
         say(words)
     return noise

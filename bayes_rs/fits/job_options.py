@@ -13,8 +13,8 @@ from bayes_rs.fits.job_noise import about_probe, noise_of_job
 from bayes_rs.fits.plan import CampaignOptions
 from bayes_rs.fits.record_yaw import with_yaw_sd
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.noise import Noise
 
 
 @dataclass(frozen=True, kw_only=True)

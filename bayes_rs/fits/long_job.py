@@ -263,7 +263,7 @@ def run_folder_fit(
     ...     for hour in range(2):
     ...         some = series.isel(sample=slice(1200 * hour, 1200 * (hour + 1))).to_dataframe().reset_index()
     ...         some[["time", "beam", "radial_velocity"]].to_csv(f"{folder}/{hour}.csv", index=False)
-    ...     brs.calibrate(scan, flow, wind_speed=10.0, cache=False).save(f"{folder}/noise.nc")
+    ...     brs.noise.calibrate(scan, flow, wind_speed=10.0, cache=False).save(f"{folder}/noise.nc")
     ...     outcome = run_folder_fit(f"{folder}/*.csv", scan, f"{folder}/year", noise_file=f"{folder}/noise.nc")
     ...     outcome.n_fitted, len(outcome.campaign.summary())
     (2, 12)

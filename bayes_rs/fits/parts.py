@@ -18,7 +18,7 @@ from bayes_rs.fits.fitting import batch_size, can_be_fitted, flags_after
 from bayes_rs.fits.result import FLAGS
 from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 from bayes_rs.posteriors.sonic import ESS_MARGIN
 
@@ -38,7 +38,7 @@ class Shared:
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Of the records' beams.
     options : FitOptions
         Of the fit.

@@ -28,7 +28,7 @@ from bayes_rs.fits.summarizing import PriorOutline, check_summary_options
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.output import RUN_FILE
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior

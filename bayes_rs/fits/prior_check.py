@@ -14,7 +14,7 @@ from bayes_rs.fits.fitting import fit
 from bayes_rs.fits.result import group
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior, make_prior
 
@@ -74,7 +74,7 @@ def prior_sensitivity(
     --------
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("50-beam"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
+    >>> noise = brs.noise.calibrate(scan, flow, wind_speed=10.0, cache=False)
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=4, seed=1), scan)
     >>> table = brs.prior_sensitivity(records, scan, noise=noise, seed=1)
     >>> table.query("stress == 'uu' and factor == 1")["width_ratio"].item()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.wind.mean_vector import mean_wind
 
@@ -31,7 +32,7 @@ def with_yaw_sd(
         From `make_records`.
     scan : Scan
         The scan that measured them.
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Their noise: the deviations are those of `mean_wind` in its turbulence; of a bank over several length scales, in
         that of the middle one.
     nuisances : Nuisances, optional
@@ -51,9 +52,9 @@ def with_yaw_sd(
     """
     if nuisances is None or not nuisances.yaw_sd_of_records or "yaw_sd" in records:
         return records
-    models = noise.models
-    flows = sorted({model.turbulence for model in models}, key=lambda flow: (flow.length_scale, flow.gamma))
-    flow = flows[len(flows) // 2]
+    flows = np.unique(np.column_stack([noise.length_scale, noise.gamma]), axis=0)
+    length_scale, gamma = flows[len(flows) // 2]
+    flow = replace(noise.turbulence, length_scale=float(length_scale), gamma=float(gamma))
     found = mean_wind(records, scan, turbulence=flow)
     turn = np.deg2rad(found["yaw"].values - records["yaw"].values)
     other = np.flatnonzero(np.abs(np.angle(np.exp(1j * turn))) > _SAME_YAW)

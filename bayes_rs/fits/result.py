@@ -16,7 +16,7 @@ from bayes_rs.fits.batch import RecordDraws
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import UNITS
 from bayes_rs.posteriors.sampling.chains import N_WALKER
 from bayes_rs.priors.registry import Prior
@@ -197,15 +197,14 @@ def check_result(result: xr.DataTree) -> xr.DataTree:
 
 def noise_summary(noise: Noise) -> dict[str, Any]:
     """Return which noise it is, as plain numbers and texts."""
-    models = noise.models
-    first = models[0]
+    realizations = float(noise.n_realizations[0])
     return {
-        "method": first.method,
-        "turbulence": first.turbulence.name,
-        "length_scales": sorted({round(model.turbulence.length_scale, 6) for model in models}),
-        "gammas": sorted({round(model.turbulence.gamma, 6) for model in models}),
-        "duration": first.duration,
-        "wind_speeds": sorted({round(model.wind_speed, 6) for model in models}),
-        "yaws_deg": sorted({round(float(np.rad2deg(model.yaw)), 6) for model in models}),
-        "n_realizations": first.n_realizations if np.isfinite(first.n_realizations) else None,
+        "method": noise.method,
+        "turbulence": noise.turbulence.name,
+        "length_scales": sorted({round(float(scale), 6) for scale in noise.length_scale}),
+        "gammas": sorted({round(float(gamma), 6) for gamma in noise.gamma}),
+        "duration": noise.duration,
+        "wind_speeds": sorted({round(float(speed), 6) for speed in noise.wind_speed}),
+        "yaws_deg": sorted({round(float(np.rad2deg(yaw)), 6) for yaw in noise.yaw}),
+        "n_realizations": realizations if np.isfinite(realizations) else None,
     }

@@ -12,7 +12,7 @@ from bayes_rs.fits.job_noise import noise_of_job
 from bayes_rs.fits.prior_check import prior_sensitivity
 from bayes_rs.fits.record_yaw import with_yaw_sd
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
 from bayes_rs.posteriors.nuisance import Nuisances
 
 
