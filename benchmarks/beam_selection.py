@@ -54,7 +54,7 @@ def main() -> None:
     for name, counts in SCANS.items():
         scan = brs.load_scan(name, probe="point")
         matrix = brs.design_matrix(scan)
-        covariance = brs.calibrate(scan, turbulence, wind_speed=10.0).covariance
+        covariance = brs.noise.calibrate(scan, turbulence, wind_speed=10.0).covariance[0]
         every = np.ones((1, scan.n_beam))
         whitening = log_normal_likelihood(every, every > 0.0, matrix[None], covariance[None]).whitening[0]
         log_mean = np.log(train @ matrix.T)

@@ -199,7 +199,7 @@ def measure(n_record: int, priors: list[str]) -> pd.DataFrame:
     turbulence = brs.load_turbulence("fu-2022")
     for name, (preset, options) in SCENES.items():
         scan = brs.load_scan(preset, **options)
-        covariance = brs.calibrate(scan, turbulence, wind_speed=WIND_SPEED, duration=DURATION).covariance
+        covariance = brs.noise.calibrate(scan, turbulence, wind_speed=WIND_SPEED, duration=DURATION).covariance[0]
         for source in ("lines", "boxes"):
             relative = relative_variances(name, scan, source, n_record)
             for prior_name in priors:

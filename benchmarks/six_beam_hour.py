@@ -37,7 +37,7 @@ def compare(
             every = brs.make_records(series, scan, duration=duration)
             for number in range(every.sizes["record"]):
                 records = every.isel(record=[number])  # alone, so that the noise is of its own wind, not interpolated
-                noise, _ = brs.noise_for_records(records, scan, flow)
+                noise = brs.noise.calibrate(scan, flow, records=records)
                 result = brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise)
                 for frame in ("wind", "lidar"):
                     table = result.summary(derived=["tke"] if frame == "wind" else [], frame=frame)

@@ -24,17 +24,17 @@ from bayes_rs import (
     InputError,
     MannTurbulence,
     MissingExtraError,
-    NoiseBank,
     Nuisances,
     fit,
     fit_campaign,
     load_scan,
     read_summary,
     summary,
-    theory_noise,
 )
 from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
 from bayes_rs.fits.flags import FLAGS
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -139,7 +139,7 @@ class TestNumbers:
         records = make_records(4)
         options = {"noise": noise, "seed": 3, "target_ess": 200, "target": "sonic"}
         done = fit_campaign(records, scan, tmp_path / "sonic", **options)
-        same(done.summary(), fit.summary((records, scan, sampler="auto", **options)))
+        same(done.summary(), fit(records, scan, sampler="auto", **options).summary())
 
     def test_the_covariances_are_those_of_the_draws(self, whole, result):
         found = pd.read_parquet(whole / "posterior")
@@ -185,18 +185,18 @@ class TestNumbers:
         }
         some = records.isel(record=slice(0, 7))
         found = fit_campaign(some, SCAN, tmp_path / "out", prob=0.5, **options, **OPTIONS)
-        same(found.summary(), fit.summary((some, SCAN, **options, **OPTIONS), prob=0.5))
+        same(found.summary(), fit(some, SCAN, **options, **OPTIONS).summary(prob=0.5))
 
     def test_records_without_time(self, records, tmp_path):
         some = records.isel(record=slice(0, 7)).drop_vars("time")
         found = fit_campaign(some, SCAN, tmp_path / "out", **OPTIONS)
-        same(found.summary(), fit.summary((some, SCAN, sampler="auto", **OPTIONS)))
+        same(found.summary(), fit(some, SCAN, sampler="auto", **OPTIONS).summary())
         assert found.summary()["time"].isna().all()
 
     def test_records_outside_the_noise_bank_are_marked(self, records, tmp_path):
         some = records.isel(record=slice(0, 4)).assign(wind_speed=("record", [10.0, 30.0, np.nan, 10.0]))
         slower = NOISE.__class__(**{**vars(NOISE), "wind_speed": 9.0})
-        options = {**OPTIONS, "noise": NoiseBank((slower, NOISE))}
+        options = {**OPTIONS, "noise": Noise.join((slower, NOISE))}
         folder = fit_campaign(some, SCAN, tmp_path / "out", **options).folder
         assert pd.read_parquet(folder / "posterior")["outside_noise"].tolist() == [False, True, False, False]
         assert json.loads((folder / "run.json").read_text())["n_outside_noise"] == 1
@@ -226,7 +226,7 @@ class TestRecordsThatCannotBeFitted:
         some = records.isel(record=EMPTY_PART)
         found = fit_campaign(some, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
         assert found.n_fitted == 0
-        same(found.summary(), fit.summary((some, SCAN, **OPTIONS)))
+        same(found.summary(), fit(some, SCAN, **OPTIONS).summary())
         assert len(pd.read_parquet(found.folder / "draws")) == 0
 
     def test_every_part_has_the_same_types(self, whole):
@@ -292,7 +292,7 @@ class TestMonths:
 
     def test_each_can_be_read_alone(self, straddling, tmp_path):
         found = fit_campaign(straddling, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
-        same(found.summary(), fit.summary((straddling, SCAN, sampler="auto", **OPTIONS)))
+        same(found.summary(), fit(straddling, SCAN, sampler="auto", **OPTIONS).summary())
         for name in ("summary", "posterior", "draws"):
             for month, expected in (("2020-02", range(8)), ("2020-03", range(8, N_RECORD))):
                 some = pd.read_parquet(found.folder / name / f"month={month}")

@@ -728,7 +728,7 @@ class TestBadOptions:
         def computed(*_args, **_options):
             pytest.fail("computed before the output file was checked")
 
-        monkeypatch.setattr("bayes_rs.calibration.calibrating.calibrate", computed)
+        monkeypatch.setattr("bayes_rs.noise.calibrating.calibrate", computed)
         answer = bayes_rs("calibrate", "staring", "--wind-speed", 10, "-o", inputs / "noise.nc")
         refusal(*answer, "noise.nc", "exists", "--overwrite")
 

@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_rs import (
-    InputError,
-    calibrate,
-    fit,
-    load_scan,
-    load_turbulence,
-    lumley,
-    radial_variance,
-    rotate_stress,
-)
+from bayes_rs import InputError, fit, load_scan, load_turbulence, lumley, radial_variance, rotate_stress
 from bayes_rs.fits.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
+from bayes_rs.noise.calibrating import calibrate
 
 ISOTROPIC = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
 ONE_COMPONENT = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]

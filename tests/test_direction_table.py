@@ -76,4 +76,4 @@ def test_words():
 def test_another_scan_is_refused():
     _, result = result_of("6-beam")
     with pytest.raises(InputError, match="are not all in scan '2-beam'"):
-        directions(result, load_scan("2-beam"))
+        result.directions()

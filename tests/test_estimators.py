@@ -14,7 +14,7 @@ from scenes import draw_variances, plain_noise, records_of
 import bayes_rs as brs
 from bayes_rs.design.estimators import ESTIMATORS, IEC_RATIOS
 from bayes_rs.geometry.scan import yaw_matrix
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import WeakPrior
 
 TRUTH = np.array([1.8, 0.9, 0.5, 0.1, -0.4, 0.05])
@@ -331,7 +331,7 @@ class TestStandardErrors:
         matrix = brs.design_matrix(scan.at_yaw(np.deg2rad(7.0)))[used]
         y = records["variance"].values[0, used]
         mean = matrix @ np.linalg.lstsq(matrix, y)[0]
-        inverse = np.linalg.inv(noise.covariance[np.ix_(used, used)] * np.outer(mean, mean))
+        inverse = np.linalg.inv(noise.covariance[0, np.ix_(used, used)] * np.outer(mean, mean))
         normal = matrix.T @ inverse @ matrix
         found = brs.estimate(records, scan, noise=noise, weights="noise")
         np.testing.assert_allclose(
@@ -342,7 +342,7 @@ class TestStandardErrors:
 
     def test_a_bank_gives_each_record_its_own_noise(self):
         faster = replace(plain_noise(SIX, relative_variance=0.09), wind_speed=20.0)
-        noise = NoiseBank((plain_noise(SIX, relative_variance=0.04), faster))
+        noise = Noise.join((plain_noise(SIX, relative_variance=0.04), faster))
         records = noise_free(np.stack([TRUTH, TRUTH]), SIX)
         records["wind_speed"][:] = [10.0, 20.0]
         error = brs.estimate(records, SIX, noise=noise)["standard_error"].values

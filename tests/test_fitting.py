@@ -7,20 +7,13 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import (
-    InputError,
-    NoiseMismatchError,
-    calibrate,
-    load_scan,
-    load_turbulence,
-    make_records,
-    noise_for_records,
-    simulate,
-)
+from bayes_rs import InputError, NoiseMismatchError, load_scan, load_turbulence, make_records, simulate
 from bayes_rs.fits.fitting import fit
 from bayes_rs.fits.flags import FLAGS, flag_words
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.choice import noise_for_records
+from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
 
@@ -59,7 +52,7 @@ class TestCalibration:
         """The test above has power: halving the noise's standard deviation breaks the coverage of uu."""
         scan, _, stress, records = simulated("6-beam", 200, WeakPrior(), seed=12)
         smaller = plain_noise(scan, relative_variance=0.015)
-        table = fit.summary((records, scan, noise=smaller, seed=1, target_ess=200))
+        table = fit(records, scan, noise=smaller, seed=1, target_ess=200).summary()
         rows = table[table["stress"] == "uu"]
         inside = np.count_nonzero((rows["hdi_low"] < stress[:, 0]) & (stress[:, 0] < rows["hdi_high"]))
         assert inside < stats.binom.ppf(1e-6, 200, 0.9)
@@ -180,7 +173,7 @@ class TestNoiseBank:
         windy = replace(plain_noise(scan, relative_variance=0.01), wind_speed=16.0)
         records = records_of(np.ones((2, 1)), scan)
         records["wind_speed"][:] = [4.5, 15.0]
-        table = fit.summary((records, scan, noise=NoiseBank((calm, windy)), seed=1))
+        table = fit(records, scan, noise=Noise.join((calm, windy)), seed=1).summary()
         width = table[table["stress"] == "uu"].set_index("record")["sd"]
         assert width[0] == pytest.approx(np.sqrt(0.2), rel=0.35)  # skewed, and the prior on size pulls a little
         assert width[1] == pytest.approx(0.1, rel=0.15)
@@ -194,12 +187,12 @@ class TestProbe:
         trace = {}
         for name in ("pulsed-4-beam@probe=point", "pulsed-4-beam"):
             scan = load_scan(name)
-            gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain
+            gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain[0]
             records = records_of(np.tile(gain @ stress, (3, 1)), scan)
             records["wind_speed"][:] = [9.0, 10.0, 11.0]
             records["yaw"][:] = [-20.0, 0.0, 35.0]  # interpolated gains, at which extreme tensors must do no harm
-            noise, _ = noise_for_records(records.isel(record=[1]), scan, turbulence)
-            spread, _ = noise_for_records(records, scan, turbulence)
+            noise = noise_for_records(records.isel(record=[1]), scan, turbulence)
+            spread = noise_for_records(records, scan, turbulence)
             assert np.isfinite(fit(records, scan, noise=spread, seed=1)["posterior/stress"]).all()
             result = fit(records.isel(record=[1]), scan, noise=noise, seed=1, target_ess=4000)
             trace[name] = float(result["posterior/stress"].sel(component=["uu", "vv", "ww"]).sum("component").mean())

@@ -24,7 +24,7 @@ from ray_files import six_beam
 from bayes_rs.errors import InputError
 from bayes_rs.fits import fit_job
 from bayes_rs.fits.fit_job import open_result
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
 from bayes_rs.readers import netcdf_guard, read_radial_velocity
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault

@@ -16,7 +16,7 @@ from bayes_rs.design.scan_limits import FEASIBLE, free_arcs
 from bayes_rs.design.scan_optimum import SAME_OPTIMUM
 from bayes_rs.geometry.scan_file import cone_direction
 from bayes_rs.models import preset_names
-from bayes_rs.noise.theory import probe_transfer
+from bayes_rs.noise.by_theory import probe_transfer
 
 SEED = brs.load_turbulence("fu-2022")
 ISOTROPIC = brs.MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=0.0)
@@ -193,8 +193,8 @@ class TestPosterior:
     def test_widths_are_those_of_a_fit_where_the_posterior_is_narrow(self):
         """Eight hours of expected variances: the data decide, and only sampling error (2 %) and curvature remain."""
         scan, hours = brs.load_scan("6-beam", opening_angle_deg=45.0), 28800.0
-        prior, noise = centred_prior(SEED, 0.4), brs.theory_noise(scan, SEED, wind_speed=10.0, duration=hours)
-        variance = noise.gain @ SEED.stresses() * np.exp(-0.5 * np.log1p(np.diag(noise.covariance)))
+        prior, noise = centred_prior(SEED, 0.4), brs.noise.theory(scan, SEED, wind_speed=10.0, duration=hours)
+        variance = noise.gain[0] @ SEED.stresses() * np.exp(-0.5 * np.log1p(np.diag(noise.covariance[0])))
         records = records_of(variance[np.newaxis], scan).assign_attrs(duration=hours)
         result = brs.fit(records, scan, noise=noise, prior=prior, seed=1, target_ess=4000, progress=False)
         draws = result["posterior"]["stress"].transpose("component", ...).values.reshape(6, -1)

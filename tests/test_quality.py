@@ -540,7 +540,7 @@ class TestRemarks:
         series = brs.simulate(scan, flow, wind_speed=10.0, n_records=3, seed=1)
         rules = brs.QualityRules(sub_variance_limit=1e-9, min_wind_speed=1.0)
         records = make_records(series, scan, quality=rules)
-        noise = brs.calibrate(scan, flow, wind_speed=10.0)
+        noise = brs.noise.calibrate(scan, flow, wind_speed=10.0)
         result = brs.fit(records, scan, noise=noise, seed=1, sampler="direct", target_ess=100)
         words = [brs.flag_words(flag) for flag in result["sample_stats/flag"].values]
         assert words == ["not_stationary"] * 3

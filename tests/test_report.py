@@ -115,7 +115,7 @@ class Elements(HTMLParser):
 class TestNumbers:
     def test_a_full_result_gives_the_numbers_of_its_summary(self, full):
         found = read_folder(full)
-        expected = open_result.summary((full), prob=0.9, derived=("ti",))
+        expected = open_fit(full).summary(prob=0.9, derived=("ti",))
         for name in NUMBERS:
             rows = expected[expected["stress"].isin(STRESSES)][name].to_numpy().reshape(-1, 6)
             np.testing.assert_array_equal(found.numbers[name], rows)
@@ -133,7 +133,7 @@ class TestNumbers:
 
     def test_another_probability_is_computed_from_the_draws(self, full):
         half = read_folder(full, prob=0.5)
-        expected = open_result.summary((full), prob=0.5)
+        expected = open_fit(full).summary(prob=0.5)
         np.testing.assert_array_equal(half.numbers["hdi_low"].ravel(), expected["hdi_low"])
         assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
 

@@ -13,7 +13,6 @@ from folder_scene import DURATION, FITTING, FLOW, RECORDING
 from bayes_rs import (
     InputError,
     WeakPrior,
-    calibrate,
     directions,
     fit,
     fit_campaign,
@@ -30,6 +29,7 @@ from bayes_rs import (
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
+from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow
@@ -114,7 +114,7 @@ class TestSameSections:
 
     def test_directions_are_those_of_the_result(self, place):
         scan = load_scan(place / "mine.toml")
-        expected = directions(open_result(place / "at-once"), scan)
+        expected = open_result(place / "at-once").directions()
         found = read_folder(place / "none").directions
         # another order of summation in the singular values, nothing else
         pd.testing.assert_frame_equal(found, expected, check_exact=False, rtol=1e-12, atol=1e-12)

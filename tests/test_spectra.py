@@ -402,8 +402,8 @@ class TestFeedingTheNoise:
         scan, records, _, fit = recovered
         some = brs.with_length_scale(records, fit).isel(record=slice(0, 6))
         scale = some["length_scale"].values
-        bank, _ = brs.noise_for_records(
-            some, scan, FLOW, length_scale=[float(scale.min()), float(scale.max())], progress=False
+        bank = brs.noise.calibrate(
+            scan, FLOW, records=some, length_scale=[float(scale.min()), float(scale.max())], progress=False
         )
         noise = bank.for_records(
             some["wind_speed"].values, np.deg2rad(some["yaw"].values), length_scale=scale, gamma=np.full(6, 3.2)

@@ -165,7 +165,7 @@ class TestFit:
     @pytest.fixture(scope="class")
     @staticmethod
     def noise(six):
-        return brs.theory_noise(six[0], FLOW, wind_speed=10.0)
+        return brs.noise.theory(six[0], FLOW, wind_speed=10.0)
 
     def draws(self, six, noise, records, **options):
         return brs.fit(records, six[0], noise=noise, seed=1, sampler="direct", progress=False, **options)

@@ -52,7 +52,7 @@ def tree_of(stress, *, wind_speed=10.0):
 
 
 def mean_of(stress, name, **options):
-    table = tree_of.summary((stress, **options), derived=[name])
+    table = tree_of(stress, **options).summary(derived=[name])
     return table[table["stress"] == name]["mean"].to_numpy()
 
 
@@ -87,11 +87,11 @@ class TestTable:
         assert not stresses[numbers].isna().any(axis=None)
 
     def test_a_result_without_times_has_no_time(self):
-        assert tree_of.summary(([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]))["time"].isna().all()
+        assert tree_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]).summary()["time"].isna().all()
 
     def test_more_records_than_one_batch_come_out_in_order(self):
         uu = 1.0 + np.arange(300.0)  # the batch is 256
-        table = tree_of.summary((np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])))
+        table = tree_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])).summary()
         np.testing.assert_allclose(table[table["stress"] == "uu"]["mean"], uu, rtol=1e-6)  # the jitter's mean
 
 

@@ -14,7 +14,7 @@ from bayes_rs.cli import commands
 from bayes_rs.design.trade_job import run_trade_off
 from bayes_rs.design.trading import COLUMNS, _explained_records, cone_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
 
 FLOW = load_turbulence("fu-2022")
 SMALL = {"n_records": 8}
@@ -138,10 +138,12 @@ class TestTable:
         noise = theory_noise(scan, FLOW, wind_speed=10.0)
         truth, errors = FLOW.stresses(), np.sqrt(6.0) * np.vstack([np.eye(6), -np.eye(6)])
         log = np.log(_explained_records(scan, noise, truth, errors)["variance"].values)
-        covariance = np.log1p(noise.covariance)
-        slope = noise.gain / (noise.gain @ truth)[:, np.newaxis]
+        covariance = np.log1p(noise.covariance[0])
+        slope = noise.gain[0] / (noise.gain[0] @ truth)[:, np.newaxis]
         explained = slope @ np.linalg.pinv(slope.T @ np.linalg.solve(covariance, slope), rcond=1e-10) @ slope.T
-        np.testing.assert_allclose(log.mean(axis=0), np.log(noise.gain @ truth) - 0.5 * np.diag(covariance), rtol=1e-12)
+        np.testing.assert_allclose(
+            log.mean(axis=0), np.log(noise.gain[0] @ truth) - 0.5 * np.diag(covariance), rtol=1e-12
+        )
         # rounding, enlarged by the condition of the normal equations, and the floor under the eigenvalues of Σ
         np.testing.assert_allclose(np.cov(log.T, bias=True), explained, atol=1e-9)
         if number <= 6:

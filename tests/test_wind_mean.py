@@ -7,9 +7,9 @@ from scipy import stats
 
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence, mean_wind
-from bayes_rs.noise.theory import probed_covariance
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
 from bayes_rs.records.making import RECORD_FLAGS
+from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.wind.mean_error import record_mean_covariance
 
 FLOW = load_turbulence("fu-2022")
@@ -251,8 +251,8 @@ class TestErrorOfMeans:
         """Another way to the same number: the bias of the noise model, from a trace of Toeplitz matrices."""
         scan = load_scan(name)
         found = np.diag(brs.beam_mean_covariance(scan, FLOW, wind_speed=10.0, tolerance=1e-4))
-        noise = brs.theory_noise(scan, FLOW, wind_speed=10.0)
-        records = (1.0 + noise.bias) * (noise.gain @ FLOW.stresses())
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        records = (1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses())
         if name == "6-beam":
             whole = brs.radial_variance(scan, FLOW.stresses())
         else:
@@ -275,8 +275,8 @@ class TestErrorOfMeans:
         variance = np.stack([np.full(6, 1.0), np.full(6, 2.5)])
         found = record_mean_covariance(records_of(mean, scan, variance=variance), scan, FLOW)
         np.testing.assert_allclose(found[1], 2.5 * found[0], rtol=1e-12)
-        noise = brs.theory_noise(scan, FLOW, wind_speed=10.0)
-        expected = (1.0 + noise.bias) * (noise.gain @ FLOW.stresses())
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses())
         as_it_is = record_mean_covariance(records_of(mean, scan), scan, FLOW, scale="turbulence")
         own = record_mean_covariance(records_of(mean, scan, variance=np.tile(expected, (2, 1))), scan, FLOW)
         np.testing.assert_allclose(own, as_it_is, rtol=2e-3)  # tolerance of the covariances, 1e-3 of uu

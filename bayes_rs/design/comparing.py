@@ -19,12 +19,13 @@ from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import sonic_moments, theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.progress import progress
 from bayes_rs.records.making import make_records
 from bayes_rs.simulation.virtual import simulate
+from bayes_rs.theory.sonic_theory import sonic_moments
 from bayes_rs.turbulence.mann import MannTurbulence
 
 METHODS = ("fast", "full", "both")
@@ -182,14 +183,14 @@ def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: floa
     return np.asarray(moments.mean, dtype=np.float64)
 
 
-def _drawn_records(scan: Scan, noise: NoiseModel, truth: FloatArray, target: str, count: int, seed: int) -> xr.Dataset:
+def _drawn_records(scan: Scan, noise: Noise, truth: FloatArray, target: str, count: int, seed: int) -> xr.Dataset:
     """Return records whose variances are log-normal with the noise's moments, drawn evenly."""
-    log_covariance = np.log1p(noise.covariance)
+    log_covariance = np.log1p(noise.covariance[0])
     values, vectors = np.linalg.eigh(log_covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # eigenvalues below zero are rounding
     # the largest directions take the first, best coordinates of the sequence
     normal = even_normals(count, scan.n_beam, seed)[:, ::-1]
-    mean = noise.gain @ truth * (1.0 + (noise.bias if target == "ensemble" else 0.0))
+    mean = noise.gain[0] @ truth * (1.0 + (noise.bias[0] if target == "ensemble" else 0.0))
     variance = mean * np.exp(normal @ root.T - 0.5 * np.diag(log_covariance))
     return trial_records(scan, noise, variance)
 
@@ -208,7 +209,7 @@ def _simulated_records(
 def posterior_rows(
     records: xr.Dataset,
     scan: Scan,
-    noise: NoiseModel,
+    noise: Noise,
     prior: Prior,
     target: str,
     truth: FloatArray,

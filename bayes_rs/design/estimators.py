@@ -14,7 +14,7 @@ from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 
 BoolArray = NDArray[np.bool_]
 
@@ -100,8 +100,8 @@ def estimate(
         - ``"ratio"``: vv = `ratio_vv` uu, ww = `ratio_ww` uu, no covariances.
     weights : str
         ``"none"``: all beams count the same. ``"noise"``: generalized least squares with the covariance of `noise`.
-    noise : NoiseModel or NoiseBank, optional
-        From `calibrate`, `theory_bank` or `load_noise`, made for this scan and record length. Gives standard errors,
+    noise : Noise, optional
+        From `noise.calibrate` or `noise.load`, made for this scan and record length. Gives standard errors,
         and weights if asked for. Its bias and its gain are not used: the beams are taken as points.
     ratio_vv, ratio_ww : float
         Assumed vv/uu and ww/uu, for the method ``"ratio"`` only.
@@ -195,7 +195,7 @@ def estimate(
     form = _chosen_form(method, ratio_vv, ratio_ww)
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
-        raise InputError("Invalid weights 'noise' without noise: give noise=, as bayes_rs.calibrate returns it.")
+        raise InputError("Invalid weights 'noise' without noise: give noise=, as bayes_rs.noise.calibrate returns it.")
     noise = None if noise is None else _checked_noise(records, scan, noise)
 
     variance = np.asarray(records["variance"].values, dtype=np.float64)

@@ -18,9 +18,10 @@ from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.probe import PointProbe
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import probe_transfer, theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.theory.probed import probe_transfer
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 from bayes_rs.turbulence.two_point import radial_covariance, resolution_for
@@ -164,7 +165,7 @@ class PosteriorCriterion(ScanCriterion):
     def exact(self, scan: Scan) -> FloatArray:
         """Return the value of each state from `theory_noise`, shape (n_state,)."""
         noises = [self._noise(scan, index) for index in range(len(self.states))]
-        return np.array([self._value(index, noise.gain, noise.covariance) for index, noise in enumerate(noises)])
+        return np.array([self._value(index, noise.gain[0], noise.covariance[0]) for index, noise in enumerate(noises)])
 
     def fast(self, direction: FloatArray, like: Scan) -> FloatArray:
         """Return values, shape (n, n_state), with covariances at points and at few lags; see `_FastNoise`.
@@ -193,7 +194,7 @@ class PosteriorCriterion(ScanCriterion):
         found = []
         for index, flow in enumerate(self.turbulence):
             noise = self._noise(scan, index)
-            found.append(_widths(self._posterior(index, noise.gain, noise.covariance), flow.stresses()))
+            found.append(_widths(self._posterior(index, noise.gain[0], noise.covariance[0]), flow.stresses()))
         return np.array(found)
 
     def in_words(self) -> str:
@@ -207,7 +208,7 @@ class PosteriorCriterion(ScanCriterion):
             f"{', '.join(chosen)}"
         )
 
-    def _noise(self, scan: Scan, index: int) -> NoiseModel:
+    def _noise(self, scan: Scan, index: int) -> Noise:
         yaw = self.yaw[index]
         turned = scan if yaw is None else scan.with_yaw(yaw)
         return theory_noise(turned, self.turbulence[index], wind_speed=self.wind_speed, duration=self.duration)

@@ -19,8 +19,8 @@ from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import cone_direction
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.progress import progress
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
@@ -192,14 +192,14 @@ def _widths(
     return found
 
 
-def _explained_records(scan: Scan, noise: NoiseModel, truth: FloatArray, errors: FloatArray) -> xr.Dataset:
+def _explained_records(scan: Scan, noise: Noise, truth: FloatArray, errors: FloatArray) -> xr.Dataset:
     """Return records with the errors of their log-variances that some R explains, evenly; see `trade_off`."""
-    log_covariance = np.log1p(noise.covariance)
+    log_covariance = np.log1p(noise.covariance[0])
     values, vectors = np.linalg.eigh(log_covariance)
     size = np.sqrt(np.maximum(values, _SMALLEST * values[-1]))
     root, whitened = (vectors * size) @ vectors.T, (vectors / size) @ vectors.T
-    expected = noise.gain @ truth
-    left, seen, right = np.linalg.svd(whitened @ (noise.gain / expected[:, np.newaxis]), full_matrices=False)
+    expected = noise.gain[0] @ truth
+    left, seen, right = np.linalg.svd(whitened @ (noise.gain[0] / expected[:, np.newaxis]), full_matrices=False)
     kept = seen > RANK_TOLERANCE * seen[0]
     # the polar factor, unlike the singular vectors, changes as smoothly as the scan does
     spread = root @ left[:, kept] @ right[kept]

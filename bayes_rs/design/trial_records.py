@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from bayes_rs._validation import FloatArray, as_generator
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 
 
 def even_normals(count: int, n_dimension: int, seed: int) -> FloatArray:
@@ -19,15 +19,15 @@ def even_normals(count: int, n_dimension: int, seed: int) -> FloatArray:
     return np.asarray(ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
 
 
-def trial_records(scan: Scan, noise: NoiseModel, variance: FloatArray) -> xr.Dataset:
+def trial_records(scan: Scan, noise: Noise, variance: FloatArray) -> xr.Dataset:
     """Return records of these variances, shape (n_record, n_beam), in the wind that the noise is for."""
     count = len(variance)
     return xr.Dataset(
         {
             "variance": (("record", "beam"), variance),
             "flag": (("record", "beam"), np.zeros(variance.shape, dtype=np.int64)),
-            "wind_speed": ("record", np.full(count, noise.wind_speed)),
-            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw))),
+            "wind_speed": ("record", np.full(count, noise.wind_speed[0])),
+            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw[0]))),
         },
         coords={"beam": scan.beam},
         attrs={"duration": noise.duration, "scan": scan.name, "scan_key": scan.key},

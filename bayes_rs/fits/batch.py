@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,8 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
-from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel, RecordNoise, SonicNoise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
@@ -132,7 +132,7 @@ def fit_batch(batch: Batch, noise: Noise, options: FitOptions, *, predict: bool 
     ----------
     batch : Batch
         Records with at least one usable beam, a wind speed and a direction.
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Noise of the beams of the batch.
     options : FitOptions
         What is the same for all.
@@ -212,7 +212,7 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
 
 def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) -> RecordDraws:
     """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
-    noise = reduced(cast("NoiseBank", bank), options.nuisances.gradient_names)
+    noise = reduced(bank, options.nuisances.gradient_names)
     factors, weights = options.nuisances.length_scale_nodes()
     parts: list[Likelihood] = []
     place = _place(batch, noise.bank, options.nuisances)
@@ -325,13 +325,13 @@ def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:
-    """Return the length scale and Γ of records, for a bank; a single model takes none."""
+    """Return the length scale and Γ of records, where they have their own."""
     own = dict(batch.flow)
     if nuisances.length_scale_log_sd > 0.0:
-        if isinstance(noise, NoiseModel) or np.ptp(np.log(noise.length_scale)) == 0.0:
+        if np.ptp(np.log(noise.length_scale)) == 0.0:
             raise InputError(
-                "The noise knows one length scale only, so it cannot be averaged over others: make a bank with "
-                "theory_bank(..., length_scale=[shortest, longest])."
+                "The noise knows one length scale only, so it cannot be averaged over others: make it with "
+                "noise.calibrate(..., length_scale=[shortest, longest], tolerance=0.01)."
             )
         if nuisances.length_scale is not None:
             own["length_scale"] = np.full(len(batch), nuisances.length_scale)
@@ -341,7 +341,7 @@ def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
                 "that name."
             )
         own["length_scale"] = factor * own["length_scale"]
-    return {} if isinstance(noise, NoiseModel) else own
+    return own
 
 
 def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], streams: RecordStreams) -> FloatArray:
@@ -366,6 +366,6 @@ def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArra
     """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
     _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
     values, vectors = np.linalg.eigh(matrices[first])
-    # eigenvalues below zero are rounding: NoiseModel has refused anything more
+    # eigenvalues below zero are rounding: Noise has refused anything more
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
     return np.asarray(roots[inverse.reshape(-1)])

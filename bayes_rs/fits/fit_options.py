@@ -154,7 +154,7 @@ class NoiseOptions:
         open=True,
     )
     noise_method: str = option(
-        "theory", "How the noise is made", choices="bayes_rs.calibration.calibrating:METHODS", flag="--noise-method"
+        "theory", "How the noise is made", choices="bayes_rs.noise.calibrating:METHODS", flag="--noise-method"
     )
 
 

@@ -23,7 +23,7 @@ from bayes_rs.fits.plan import Plan, plan_fit
 from bayes_rs.fits.workers import check_workers, done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.options import nearest, options_of, to_plain
 from bayes_rs.progress import progress_counter
 

@@ -18,7 +18,7 @@ from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal
@@ -152,7 +152,7 @@ def compare_inflow(
     --------
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("6-beam-planes"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.theory_noise(scan, flow, wind_speed=10.0)
+    >>> noise = brs.noise.theory(scan, flow, wind_speed=10.0)
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=1, seed=1), scan)
     >>> table = compare_inflow(
     ...     records, scan, noise=noise, nuisances=brs.Nuisances(vertical_gradient_sd=0.5), seed=1, leave_one_out=False

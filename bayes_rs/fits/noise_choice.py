@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import xarray as xr
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.wind.mean_vector import mean_wind
@@ -24,7 +25,7 @@ def given_noise(noise: Noise | str | Path | None) -> Noise | None:
     """Return noise that is given, itself or by its file; None if it is to be made for the records."""
     if noise is None or isinstance(noise, Noise):
         return noise
-    from bayes_rs.noise.reading import load_noise  # noqa: PLC0415 - not needed without a file
+    from bayes_rs.noise.file import load_noise  # noqa: PLC0415 - not needed without a file
 
     return load_noise(noise)
 
@@ -57,18 +58,17 @@ def noise_and_records(
 
 
 def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say) -> Noise:
-    from bayes_rs.calibration.choice import noise_for_records  # noqa: PLC0415 - not needed with a file
-    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - nor this
+    from bayes_rs.noise.calibrating import calibrate  # noqa: PLC0415 - not needed with a file
 
-    noise, words = noise_for_records(
-        records,
-        scan.select(records["beam"].values),
-        load_turbulence(choice.turbulence),
+    noise = calibrate(
+        scan,
+        choice.turbulence,
+        records=records,
         method=choice.noise_method,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
     )
-    say(words)
+    say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
     return noise
 
 
@@ -106,9 +106,9 @@ def _with_yaw_sd(
     """
     if not nuisances.yaw_sd_of_records or "yaw_sd" in records:
         return records
-    models = noise.models
-    flows = sorted({model.turbulence for model in models}, key=lambda flow: (flow.length_scale, flow.gamma))
-    flow = flows[len(flows) // 2]
+    flows = np.unique(np.column_stack([noise.length_scale, noise.gamma]), axis=0)
+    length_scale, gamma = flows[len(flows) // 2]
+    flow = replace(noise.turbulence, length_scale=float(length_scale), gamma=float(gamma))
     found = mean_wind(records, scan, turbulence=flow)
     turn = np.deg2rad(found["yaw"].values - records["yaw"].values)
     other = np.flatnonzero(np.abs(np.angle(np.exp(1j * turn))) > _SAME_YAW)

@@ -20,7 +20,7 @@ from bayes_rs.fits.flags import FLAGS, flags_after
 from bayes_rs.fits.prepare import can_be_fitted
 from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 from bayes_rs.posteriors.sonic import ESS_MARGIN
 

@@ -26,7 +26,7 @@ from bayes_rs.fits.summarizing import PriorOutline
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 
@@ -177,17 +177,16 @@ def software() -> dict[str, Any]:
 
 def noise_summary(noise: Noise) -> dict[str, Any]:
     """Return which noise it is, as plain numbers and texts."""
-    models = noise.models
-    first = models[0]
+    realizations = float(noise.n_realizations[0])
     return {
-        "method": first.method,
-        "turbulence": first.turbulence.name,
-        "length_scales": sorted({round(model.turbulence.length_scale, 6) for model in models}),
-        "gammas": sorted({round(model.turbulence.gamma, 6) for model in models}),
-        "duration": first.duration,
-        "wind_speeds": sorted({round(model.wind_speed, 6) for model in models}),
-        "yaws_deg": sorted({round(float(np.rad2deg(model.yaw)), 6) for model in models}),
-        "n_realizations": first.n_realizations if np.isfinite(first.n_realizations) else None,
+        "method": noise.method,
+        "turbulence": noise.turbulence.name,
+        "length_scales": sorted({round(float(scale), 6) for scale in noise.length_scale}),
+        "gammas": sorted({round(float(gamma), 6) for gamma in noise.gamma}),
+        "duration": noise.duration,
+        "wind_speeds": sorted({round(float(speed), 6) for speed in noise.wind_speed}),
+        "yaws_deg": sorted({round(float(np.rad2deg(yaw)), 6) for yaw in noise.yaw}),
+        "n_realizations": realizations if np.isfinite(realizations) else None,
     }
 
 

@@ -16,7 +16,7 @@ from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 
 _SAME_FLOW = 0.01
@@ -139,10 +139,10 @@ def _check_flow(records: xr.Dataset, noise: Noise, nuisances: Nuisances) -> None
     """Refuse records with a turbulence of their own that the noise would leave aside."""
     averaged = nuisances.length_scale_log_sd > 0.0
     for name, unit, remedy in (
-        ("length_scale", " m", "noise_for_records(..., length_scale=[shortest, longest])"),
-        ("gamma", "", "theory_bank(..., gamma=[lowest, highest])"),
+        ("length_scale", " m", "noise.calibrate(scan, records=records)"),
+        ("gamma", "", "noise.calibrate(scan, records=records)"),
     ):
-        known = np.array([getattr(model.turbulence, name) for model in noise.models])
+        known = np.asarray(getattr(noise, name))
         if name not in records or np.ptp(known) > 0.0 or (averaged and name == "length_scale"):
             continue
         own = np.asarray(records[name].values, dtype=np.float64)

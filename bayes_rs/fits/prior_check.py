@@ -18,7 +18,7 @@ from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
 
 COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "contraction", "decided_by")

@@ -452,3 +452,24 @@ def _own_values(
 def _upward_direction(opening_angle: FloatArray, phase: FloatArray) -> FloatArray:
     sine = np.sin(opening_angle)
     return np.stack([np.cos(phase) * sine, np.sin(phase) * sine, np.cos(opening_angle)], axis=-1)
+
+
+def as_scan(scan: Scan | str | Path) -> Scan:
+    """Return the scan itself, or that of a name or file; see `load_scan`.
+
+    Parameters
+    ----------
+    scan : Scan, str or Path
+        The scan, its name in ``models/scans`` (with changes, as ``"6-beam@yaw_deg=10"``), or a TOML file.
+
+    Returns
+    -------
+    scan : Scan
+        The scan.
+
+    Examples
+    --------
+    >>> as_scan("6-beam").n_beam
+    6
+    """
+    return scan if isinstance(scan, Scan) else load_scan(scan)

@@ -13,7 +13,8 @@ from fault_scenes import CALIBRATE, FIT, RECORDS, complaint, run
 from scenes import TURBULENCE, draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs import InputError, WeakPrior, load_noise, load_scan
+from bayes_rs import InputError, WeakPrior, load_scan
+from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_file, output_folder, write_csv, write_netcdf, write_run
 
 SCAN = load_scan("2-beam")
@@ -79,8 +80,8 @@ class TestCommands:
         own = (
             "import bayes_rs as brs\n"
             "scan, flow = brs.load_scan('2-beam'), brs.load_turbulence('fu-2022')\n"
-            "noise = brs.calibrate(scan, flow, wind_speed=9.7, duration=60)\n"
-            "print(noise.bias)"
+            "noise = brs.noise.calibrate(scan, flow, wind_speed=9.7, duration=60)\n"
+            "print(noise.bias[0])"
         )
         code, errors = run(folder=tmp_path, size=5000, own=own)
         assert code == 0, errors

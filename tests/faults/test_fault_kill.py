@@ -12,7 +12,8 @@ import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
 
 import bayes_rs as brs
-from bayes_rs import InputError, load_noise
+from bayes_rs import InputError
+from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 
 pytestmark = pytest.mark.slow

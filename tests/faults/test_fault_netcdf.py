@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 from scenes import plain_noise
 
-from bayes_rs import InputError, load_noise, load_scan, open_result, read_radial_velocity
+from bayes_rs import InputError, load_scan, open_result, read_radial_velocity
+from bayes_rs.noise.file import load_noise
 from bayes_rs.records.record_files import open_records
 
 SCAN = load_scan("2-beam")

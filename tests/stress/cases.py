@@ -17,7 +17,7 @@ from scenes import plain_noise, records_of
 import bayes_rs as brs
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, make_likelihood
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 EPS = np.finfo(np.float64).eps
@@ -216,28 +216,28 @@ def noise_of_random_scenes(rng: np.random.Generator) -> None:
         "detrend": str(rng.choice(["mean", "linear"])),
     }
     noise = theory_noise(scan, flow, **options)
-    assert np.all(np.isfinite(noise.covariance))
-    values = np.linalg.eigvalsh(noise.covariance)
+    assert np.all(np.isfinite(noise.covariance[0]))
+    values = np.linalg.eigvalsh(noise.covariance[0])
     assert values[0] >= -64.0 * EPS * scan.n_beam * values[-1], values
-    size = np.abs(noise.covariance).max()
+    size = np.abs(noise.covariance[0]).max()
     order = rng.permutation(scan.n_beam)
     mixed = theory_noise(scan.select(scan.beam[order]), flow, **options)
     # each scene may be lifted to the nearest semi-definite matrix, by the error that it promises at most
     lifted = 64.0 * EPS * size + 2.0 * max(noise.details["negative_part"], mixed.details["negative_part"]) * values[-1]
     np.testing.assert_allclose(
-        mixed.covariance, noise.covariance[np.ix_(order, order)], rtol=1e-9, atol=1e-9 * size + lifted
+        mixed.covariance[0], noise.covariance[0, np.ix_(order, order)], rtol=1e-9, atol=1e-9 * size + lifted
     )
     stronger = theory_noise(scan, replace(flow, dissipation=flow.dissipation * 10.0 ** rng.uniform(-6, 6)), **options)
     # a record that is short beside the eddies keeps a small part of their variance, and rounding is large beside it
-    rounding = 1e-10 * size / (1.0 + noise.bias.min())
-    np.testing.assert_allclose(stronger.covariance, noise.covariance, rtol=1e-9, atol=rounding)
+    rounding = 1e-10 * size / (1.0 + noise.bias[0].min())
+    np.testing.assert_allclose(stronger.covariance[0], noise.covariance[0], rtol=1e-9, atol=rounding)
     factor = 10.0 ** rng.uniform(-1.0, 1.0)
     larger = theory_noise(
         replace(scan, focus_distance=factor * scan.focus_distance),
         replace(flow, length_scale=factor * flow.length_scale),
         **{**options, "wind_speed": factor * options["wind_speed"]},
     )
-    np.testing.assert_allclose(larger.covariance, noise.covariance, rtol=1e-7, atol=1e-8 * size + lifted)
+    np.testing.assert_allclose(larger.covariance[0], noise.covariance[0], rtol=1e-7, atol=1e-8 * size + lifted)
 
 
 def likelihoods_in_high_precision(rng: np.random.Generator) -> None:
@@ -437,8 +437,8 @@ def bad_numbers_are_refused(rng: np.random.Generator) -> None:
     calls: list[Callable[[], object]] = [
         lambda: brs.MannTurbulence(bad, 61.0, 3.2),
         lambda: brs.MannTurbulence(0.05, bad, 3.2),
-        lambda: brs.calibrate(scan, flow, wind_speed=bad),
-        lambda: brs.calibrate(scan, flow, wind_speed=10.0, duration=bad),
+        lambda: brs.noise.calibrate(scan, flow, wind_speed=bad),
+        lambda: brs.noise.calibrate(scan, flow, wind_speed=10.0, duration=bad),
         lambda: brs.simulate(scan, flow, wind_speed=bad, seed=1),
         lambda: brs.load_scan("4-beam", focus_distance=bad),
         lambda: brs.Scan("x", [[0.0, 0.0, 1.0]], [bad], [0.0], 1.0),

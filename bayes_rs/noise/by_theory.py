@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,23 +14,23 @@ from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import PROBE_ERROR, PointProbe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.probed import CHUNK, probe_transfer, probed_covariance
-from bayes_rs.noise.sampling_times import sample_counts
-from bayes_rs.noise.sonic_theory import SonicMoments, sonic_moments, whitened_moments
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.noise.noise import Noise
+from bayes_rs.theory.pairs import distinct_pairs
+from bayes_rs.theory.probed import CHUNK, probe_transfer, probed_covariance
+from bayes_rs.theory.sampling_times import sample_counts
+from bayes_rs.theory.sonic_theory import SonicMoments, sonic_moments, whitened_moments
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 from bayes_rs.turbulence.two_point import INDEX_PAIRS, radial_covariance, resolution_for
 
-__all__ = ["SonicMoments", "probe_transfer", "probed_covariance", "sample_counts", "sonic_moments", "theory_noise"]
-
-_SAME = 1e-9  # pairs whose separations (m) and directions agree to this are computed once
+__all__ = ["SonicMoments", "sonic_moments", "theory", "theory_noise"]
 
 
 def theory_noise(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path = "fu-2022",
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -39,15 +40,15 @@ def theory_noise(
     probe_tolerance: float = 1e-3,
     sonic: bool = False,
     sonic_position: ArrayLike = (0.0, 0.0, 0.0),
-) -> NoiseModel:
+) -> Noise:
     """Return the noise of a record's beam variances for Gaussian, frozen Mann turbulence, with the scan's probe volume.
 
     Parameters
     ----------
-    scan : Scan
-        The scan, with its timing: beam b is sampled at beam_time_b + i · scan_duration while that is in the record.
-    turbulence : MannTurbulence
-        The turbulence; its dissipation has no influence.
+    scan : Scan, str or Path
+        The scan, its name or file: beam b is sampled at beam_time_b + i · scan_duration while that is in the record.
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name or its file; its dissipation has no influence.
     wind_speed : float
         Mean wind speed U, m/s.
     duration : float
@@ -67,7 +68,7 @@ def theory_noise(
 
     Returns
     -------
-    noise : NoiseModel
+    noise : Noise
         Bias, gain and relative covariance. Its details hold ``covariance_error``, a bound on the error of every entry
         of K that follows from `tolerance`, and ``negative_part``: where the true K is singular, the error can leave
         eigenvalues just below zero; they are set to zero, which moves K towards the truth (to the nearest point of
@@ -100,12 +101,11 @@ def theory_noise(
 
     Examples
     --------
-    >>> from bayes_rs.turbulence.mann import load_turbulence
-    >>> from bayes_rs.geometry.scan_file import load_scan
-    >>> noise = theory_noise(load_scan("staring"), load_turbulence("fu-2022"), wind_speed=10.0)
-    >>> float(noise.bias[0].round(3)), float(noise.relative_error[0].round(3))
+    >>> noise = theory_noise("staring", wind_speed=10.0)
+    >>> float(noise.bias[0, 0].round(3)), float(noise.relative_error[0, 0].round(3))
     (-0.125, 0.258)
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
     promised, resolution = resolution_for(tolerance, turbulence.gamma)
@@ -168,7 +168,7 @@ def theory_noise(
         )
         sonic_covariance, sonic_beam_covariance = whitened_moments(moments, mean)
         about_sonic = {"sonic_position": [float(value) for value in np.asarray(sonic_position)]}
-    return NoiseModel(
+    return Noise(
         bias=mean / expected - 1.0,
         gain=gain,
         covariance=relative,
@@ -196,48 +196,6 @@ def theory_noise(
         },
         sonic_covariance=sonic_covariance,
         sonic_beam_covariance=sonic_beam_covariance,
-    )
-
-
-class _Pairs(NamedTuple):
-    """All pairs of beams, row ≤ column, and the distinct ones among them."""
-
-    row: NDArray[np.int64]
-    column: NDArray[np.int64]
-    distinct: NDArray[np.int64]  # which distinct pair each pair is
-    first: FloatArray
-    second: FloatArray
-    across: FloatArray
-    along: FloatArray  # separation of the sampled parcels at the first scan, along the wind
-    lengths: FloatArray  # of the two beams' probe volumes, m
-    samples: NDArray[np.int64]  # of the first and of the second beam
-    own: NDArray[np.bool_]  # a beam with itself
-
-
-def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int64], wind_speed: float) -> _Pairs:
-    """Find the distinct pairs: mirror images in the x–z plane are one, and so are shifted copies."""
-    row, column = np.triu_indices(scan.n_beam)
-    place = line_of_sight * scan.focus_distance[:, np.newaxis]
-    place[:, 0] -= wind_speed * scan.beam_time
-    apart = place[column] - place[row]
-    first, second = line_of_sight[row], line_of_sight[column]
-    samples = np.stack([count[row], count[column]], axis=-1)
-    mirror = np.where(apart[:, 1] < 0.0, -1.0, 1.0)[:, np.newaxis] * [0.0, 1.0, 0.0] + [1.0, 0.0, 1.0]
-    lengths = np.stack([scan.probe_length[row], scan.probe_length[column]], axis=-1)
-    own = (row == column)[:, np.newaxis]
-    table = np.concatenate([mirror * apart, mirror * first, mirror * second, samples, own, lengths], axis=1)
-    _, index, distinct = np.unique(np.round(table / _SAME) + 0.0, axis=0, return_index=True, return_inverse=True)
-    return _Pairs(
-        row=row,
-        column=column,
-        distinct=distinct.reshape(-1),
-        first=table[index, 3:6],
-        second=table[index, 6:9],
-        across=table[index, 1:3],
-        along=table[index, 0],
-        lengths=lengths[index],
-        samples=samples[index],
-        own=(row == column)[index],
     )
 
 
@@ -299,3 +257,7 @@ def _nearest_covariance(relative: FloatArray, error: float) -> tuple[FloatArray,
     kept = np.maximum(values, 0.0)
     nearest = (vectors * kept) @ vectors.T
     return 0.5 * (nearest + nearest.T), float(max(-values[0], 0.0) / values[-1])
+
+
+theory = theory_noise
+"""Its name in `bayes_rs.noise`."""

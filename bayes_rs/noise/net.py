@@ -1,4 +1,4 @@
-"""Noise banks by theory: nets of states that are just fine enough for the noise between them."""
+"""Nets of states, by theory, that are just fine enough for the noise between them."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
-from bayes_rs.calibration.calibrating import DEFAULT_SEED, METHODS, noise_key, theory_at_states
-from bayes_rs.calibration.store import cache_folder, from_cache, renamed, to_cache
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
+from bayes_rs.noise.at_states import noise_key, theory_at_states
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.store import cache_folder, from_cache, renamed, to_cache, with_details
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.interpolation import find_net, interpolate_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 BANK_VERSION = 1
 """Counts the changes of this module that change its numbers."""
+
+TOLERANCE = 0.01
+"""Largest relative error of K between states, where no other is asked for."""
 
 _MOST_STATES = 1000
 """A net is not refined beyond this many states; then its error may be above the tolerance, and its details say so."""
@@ -47,7 +48,7 @@ _AXES = (  # ln U, yaw in degrees, ln L, Γ
 )
 
 
-def theory_bank(
+def refined_noise(
     scan: Scan,
     turbulence: MannTurbulence,
     *,
@@ -56,13 +57,13 @@ def theory_bank(
     length_scale: Sequence[float] | None = None,
     gamma: Sequence[float] | None = None,
     duration: float = 600.0,
-    tolerance: float = 0.01,
+    tolerance: float = TOLERANCE,
     error_beams: int = 16,
     cache: bool | str | Path = True,
     sonic: bool = False,
     progress: bool | None = None,
-) -> NoiseBank:
-    """Return the noise of a scan by theory over a range of wind speeds and directions, to be interpolated.
+) -> Noise:
+    """Return the noise of a scan by theory over a range of wind speeds and directions, in a net that is interpolated.
 
     Parameters
     ----------
@@ -71,11 +72,11 @@ def theory_bank(
     turbulence : MannTurbulence
         The turbulence.
     wind_speed : sequence of float
-        Mean wind speeds of the records, m/s: the bank reaches from the lowest to the highest.
+        Mean wind speeds of the records, m/s: the net reaches from the lowest to the highest.
     yaw_deg : sequence of float, optional
         Wind directions of the records relative to the lidar axis, degrees; by default the scan's own yaw.
     length_scale, gamma : sequence of float, optional
-        Length scales L, m, and anisotropies Γ that the bank reaches over, too; by default only those of `turbulence`.
+        Length scales L, m, and anisotropies Γ that the net reaches over, too; by default only those of `turbulence`.
     duration : float
         Length of a record, s.
     tolerance : float
@@ -92,7 +93,7 @@ def theory_bank(
 
     Returns
     -------
-    bank : NoiseBank
+    noise : Noise
         Its details hold ``interpolation_error``, the largest ‖δK‖/‖K‖ (Frobenius) against theory in the middle of every
         cell, ``interpolation_error_beams`` and ``interpolation_tolerance``.
 
@@ -110,9 +111,10 @@ def theory_bank(
 
     Examples
     --------
-    >>> from bayes_rs import load_scan, load_turbulence
-    >>> bank = theory_bank(load_scan("staring"), load_turbulence("fu-2022"), wind_speed=[6.0, 12.0], cache=False)
-    >>> len(bank.models), bank.interpolation_error < 0.01
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> from bayes_rs.turbulence.mann import load_turbulence
+    >>> noise = refined_noise(load_scan("staring"), load_turbulence("fu-2022"), wind_speed=[6.0, 12.0], cache=False)
+    >>> len(noise), noise.interpolation_error < 0.01
     (3, True)
     """
     check_positive(tolerance, what="tolerance", unit="")
@@ -122,7 +124,7 @@ def theory_bank(
         np.log(_range([turbulence.length_scale] if length_scale is None else length_scale, "length_scale", above=0.0)),
         _range([turbulence.gamma] if gamma is None else gamma, "gamma"),
     ]
-    if all(span[1] - span[0] <= _NO_EXTENT for span in ranges[2:]):  # it is this flow's bank, whatever was given
+    if all(span[1] - span[0] <= _NO_EXTENT for span in ranges[2:]):  # it is this flow's net, whatever was given
         scale = turbulence.length_scale if length_scale is None else float(np.min(length_scale))
         turbulence = replace(turbulence, length_scale=scale, gamma=float(ranges[3][0]))
     count = max(min(int(error_beams), scan.n_beam), 1)
@@ -132,29 +134,29 @@ def theory_bank(
     if file is not None:
         found, _ = from_cache(file, key)
         if found is not None:
-            kept = renamed(found, scan, turbulence)
-            return kept if isinstance(kept, NoiseBank) else NoiseBank((kept,))
+            return renamed(found, scan, turbulence)
     axes, error = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
-    models = _Theory(scan, turbulence, duration, progress, sonic=sonic).models(_points(axes))
-    details = {
-        "interpolation_error": error,
-        "interpolation_error_beams": count,
-        "interpolation_tolerance": tolerance,
-        "key": key,
-    }
-    bank = NoiseBank(tuple(replace(model, details={**model.details, **details}) for model in models))
+    states = _Theory(scan, turbulence, duration, progress, sonic=sonic).states(_points(axes))
+    noise = with_details(
+        Noise.join(states),
+        interpolation_error=error,
+        interpolation_error_beams=count,
+        interpolation_tolerance=tolerance,
+        key=key,
+        origin="calculated",
+    )
     if file is not None:
-        to_cache(bank, file)
-    return bank
+        to_cache(noise, file)
+    return noise
 
 
-def measure_interpolation(bank: NoiseBank, scan: Scan, *, progress: bool | None = None) -> float:
-    """Return the largest relative error of K between the states of a bank by theory, measured with all its beams.
+def measure_interpolation(noise: Noise, scan: Scan, *, progress: bool | None = None) -> float:
+    """Return the largest relative error of K between the states of a net by theory, measured with all its beams.
 
     Parameters
     ----------
-    bank : NoiseBank
-        A bank whose states form a net.
+    noise : Noise
+        Noise by theory whose states form a net.
     scan : Scan
         Its scan.
     progress : bool, optional
@@ -170,16 +172,16 @@ def measure_interpolation(bank: NoiseBank, scan: Scan, *, progress: bool | None 
     InputError
         If the states form no net, or the scan is another.
     """
-    bank.check_scan(scan)
-    if bank.net is None:
-        raise InputError("The states of this noise bank form no net, so nothing is interpolated between them.")
-    axes = [bank.net.axes[0], np.rad2deg(bank.net.axes[1]), bank.net.axes[2], bank.net.axes[3]]
+    noise.check_scan(scan)
+    if noise.net is None:
+        raise InputError("The states of this noise form no net, so nothing is interpolated between them.")
+    axes = [noise.net.axes[0], np.rad2deg(noise.net.axes[1]), noise.net.axes[2], noise.net.axes[3]]
     middle = _points(_middles(axes))
-    truth = [model.covariance for model in _Theory(scan, bank.turbulence, bank.duration, progress).models(middle)]
-    noise = bank.for_records(
+    truth = _Theory(scan, noise.turbulence, noise.duration, progress).covariances(middle)
+    between = noise.for_records(
         np.exp(middle[:, 0]), np.deg2rad(middle[:, 1]), length_scale=np.exp(middle[:, 2]), gamma=middle[:, 3]
     )
-    return _largest(noise.covariance, np.stack(truth))
+    return _largest(between.covariance, truth)
 
 
 class _Theory:
@@ -190,25 +192,22 @@ class _Theory:
     ) -> None:
         self.scan, self.turbulence, self.duration, self.progress = scan, turbulence, duration, progress
         self.sonic = sonic
-        self.known: dict[tuple[float, ...], NoiseModel] = {}
+        self.known: dict[tuple[float, ...], Noise] = {}
 
-    def models(self, points: FloatArray) -> list[NoiseModel]:
+    def states(self, points: FloatArray) -> list[Noise]:
         """Return the noise at points, shape (n, 4)."""
         names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
         missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.known}
         for flow in sorted({name[2:] for name in missing}):
             group = {name: point for name, point in missing.items() if name[2:] == flow}
             states = [self._state(point) for point in group.values()]
-            if self.sonic:
-                made = theory_at_states(states, self._flow(flow), sonic=True, progress=self.progress)
-            else:
-                made = METHODS["theory"].make(states, self._flow(flow), 2, DEFAULT_SEED, self.progress)
+            made = theory_at_states(states, self._flow(flow), sonic=self.sonic, progress=self.progress)
             self.known.update(zip(group, made, strict=True))
         return [self.known[name] for name in names]
 
     def covariances(self, points: FloatArray) -> FloatArray:
         """Return K at points, shape (n, n_beam, n_beam); with a sonic the joint covariance, six rows larger."""
-        return np.stack([m.joint_covariance if self.sonic else m.covariance for m in self.models(points)])
+        return np.concatenate([n.joint_covariance if self.sonic else n.covariance for n in self.states(points)])
 
     def _state(self, point: FloatArray) -> RecordState:
         return RecordState(
@@ -281,7 +280,7 @@ def _points(axes: list[FloatArray]) -> FloatArray:
 def _range(values: Sequence[float], name: str, above: float | None = None) -> FloatArray:
     numbers = check_array(np.atleast_1d(values), (None,), what=name)
     if len(numbers) == 0 or (above is not None and np.min(numbers) <= above):
-        raise InputError(f"Invalid {name} {values!r}: give numbers above zero, of which the bank takes the range.")
+        raise InputError(f"Invalid {name} {values!r}: give numbers above zero, of which the net takes the range.")
     return np.array([np.min(numbers), np.max(numbers)])
 
 
@@ -294,7 +293,7 @@ def _key(
     error_beams: int,
     sonic: bool,
 ) -> str:
-    """Return the key of a bank: that of theory at one state, and everything that fixes the net."""
+    """Return the key of a net: that of theory at one state, and everything that fixes the net."""
     state = RecordState(scan, 10.0, 0.0, duration)
     spans = [
         [float(round(span[0], 9))] if span[1] - span[0] <= _NO_EXTENT else list(_ends(axis, span))
@@ -302,7 +301,7 @@ def _key(
     ]
     everything = {
         "bank_version": BANK_VERSION,
-        "theory": noise_key([state], turbulence, method="theory", n_boxes=2, seed=DEFAULT_SEED, sonic=sonic),
+        "theory": noise_key([state], turbulence, sonic=sonic),
         "axes": _AXES,
         "spans": spans,
         "tolerance": tolerance,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,31 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import PointProbe
 from bayes_rs.geometry.stress import pack_stress
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.options import described, option
 from bayes_rs.progress import progress as progress_bar
 from bayes_rs.simulation.boxes import BoxGrid, BoxMaker, generator_name
 from bayes_rs.simulation.virtual import RecordState, beam_lines, box_seeds, grid_for, placements, sample_records
 from bayes_rs.turbulence.mann import MannTurbulence
+
+DEFAULT_SEED = 1
+"""Seed of the shipped noise, and the default of `Boxes`."""
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class Boxes:
+    """How noise is simulated in boxes of Mann turbulence: ``calibrate(..., method=Boxes(n_boxes=40))``."""
+
+    n_boxes: int = option(100, "Number of turbulence boxes, at least 2.", flag="--boxes")
+    seed: int | np.random.Generator = option(
+        DEFAULT_SEED, "Same seed, same numbers. Nothing is cached with a Generator."
+    )
+
+    def __post_init__(self) -> None:
+        """Check the number of boxes."""
+        check_count(self.n_boxes, what="n_boxes", minimum=2)
 
 
 def noise_from_boxes(
@@ -28,7 +48,7 @@ def noise_from_boxes(
     progress: bool | None = None,
     *,
     grid: BoxGrid | None = None,
-) -> list[NoiseModel]:
+) -> list[Noise]:
     """Calibrate several states, also of several scans, in one pass through the same boxes.
 
     Parameters
@@ -48,7 +68,7 @@ def noise_from_boxes(
 
     Returns
     -------
-    noise : list of NoiseModel
+    noise : list of Noise
         One for each state, in their order.
 
     Raises
@@ -107,20 +127,18 @@ def noise_from_boxes(
         "n_placements": len(shift),
         **_truth(maker),
     }
-    return [_model(state, maker, expected[number], tallies[number], shared) for number, state in enumerate(states)]
+    return [_noise(state, maker, expected[number], tallies[number], shared) for number, state in enumerate(states)]
 
 
-def box_ingredients(
-    states: Sequence[RecordState], turbulence: MannTurbulence, n_boxes: int, seed: int
-) -> dict[str, Any]:
+def box_ingredients(states: Sequence[RecordState], turbulence: MannTurbulence, boxes: Boxes) -> dict[str, Any]:
     """Return what box noise depends on beside the states and the turbulence, as plain JSON values."""
     grid = grid_for(list(states), turbulence)
     return {
         "generator": generator_name(),
         "grid_shape": list(grid.shape),
         "grid_spacing": list(grid.spacing),
-        "n_boxes": int(n_boxes),
-        "seed": int(seed),
+        "n_boxes": int(boxes.n_boxes),
+        "seed": int(boxes.seed),  # type: ignore[arg-type] # a Generator has no key: nothing is cached with it
     }
 
 
@@ -140,9 +158,9 @@ class _Tally:
         self.fourth.append(np.mean(deviation**4, axis=0))
 
 
-def _model(
+def _noise(
     state: RecordState, maker: BoxMaker, expected: FloatArray, tally: _Tally, shared: Mapping[str, Any]
-) -> NoiseModel:
+) -> Noise:
     root = np.sqrt(len(tally.second))
     covariance = np.mean(tally.second, axis=0)
     error = np.std(tally.second, axis=0, ddof=1) / root
@@ -163,7 +181,7 @@ def _model(
         "mean_deviation_sigmas": round(float(np.max(np.abs(np.mean(tally.first, axis=0)) / mean_error)), 3),
         **about_probe,
     }
-    return NoiseModel(
+    return Noise(
         bias=(gain @ record) / (gain @ pack_stress(maker.tensor)) - 1.0,
         gain=gain,
         covariance=0.5 * (covariance + covariance.T),
@@ -213,7 +231,7 @@ def _probe_gain(state: RecordState, turbulence: MannTurbulence) -> FloatArray:
         )
         for beam in state.scan.beam
     ]
-    return np.concatenate([model.gain for model in alone])
+    return np.concatenate([one.gain[0] for one in alone])
 
 
 def _unique_lines(focus: FloatArray, seen: FloatArray) -> tuple[Any, Any]:

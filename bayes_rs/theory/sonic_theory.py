@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, check_array, check_finite, check_positive
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, rotate_stress, unpack_stress
-from bayes_rs.noise.probed import CHUNK, probed_covariance
-from bayes_rs.noise.sampling_times import sample_counts, samples_that_fit
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.theory.probed import CHUNK, probed_covariance
+from bayes_rs.theory.sampling_times import sample_counts, samples_that_fit
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 from bayes_rs.turbulence.two_point import INDEX_PAIRS
 
@@ -37,8 +39,8 @@ class SonicMoments:
 
 
 def sonic_moments(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path = "fu-2022",
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -52,11 +54,11 @@ def sonic_moments(
     Parameters
     ----------
     scan, turbulence, wind_speed, duration, yaw
-        As in `theory_noise`.
+        As in `bayes_rs.noise.theory`.
     position : array_like, shape (3,)
         Where the sonic is, m from the lidar in the mean-wind frame; at the lidar, the rotor's centre, if not given.
     detrend, tolerance
-        As in `theory_noise`.
+        As in `bayes_rs.noise.theory`.
 
     Returns
     -------
@@ -82,12 +84,11 @@ def sonic_moments(
     --------
     A beam along the wind that measures where the sonic stands measures the sonic's uu:
 
-    >>> from bayes_rs.turbulence.mann import load_turbulence
-    >>> from bayes_rs.geometry.scan_file import load_scan
-    >>> moments = sonic_moments(load_scan("staring"), load_turbulence("fu-2022"), wind_speed=10.0, position=(-98, 0, 0))
+    >>> moments = sonic_moments("staring", wind_speed=10.0, position=(-98, 0, 0))
     >>> bool(np.isclose(moments.cross_covariance[0, 0], moments.covariance[0, 0]))
     True
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
     place = check_array(position, (3,), what="position")

@@ -7,14 +7,17 @@ import os
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.models import models_folder
-from bayes_rs.noise.file import is_sealed
-from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.sealed import is_sealed
 from bayes_rs.turbulence.mann import MannTurbulence
 
 _log = logging.getLogger(__name__)
@@ -75,9 +78,9 @@ def find_shipped_noise(
 
     Returns
     -------
-    noise : NoiseModel, NoiseBank or None
-        The model of that state, which must be one of the bank's own; the whole bank or model that is shipped if neither
-        wind speed nor yaw is given; None if there is none.
+    noise : Noise or None
+        That state, which must be one of the shipped ones; all that is shipped if neither wind speed nor yaw is given;
+        None if there is none.
 
     Raises
     ------
@@ -86,7 +89,8 @@ def find_shipped_noise(
 
     Examples
     --------
-    >>> from bayes_rs import load_scan, load_turbulence
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> from bayes_rs.turbulence.mann import load_turbulence
     >>> noise = find_shipped_noise(load_scan("6-beam"), load_turbulence("fu-2022"))
     >>> noise.n_beam
     6
@@ -99,16 +103,17 @@ def find_shipped_noise(
         if not set(scan.beam.tolist()) <= set(noise.beam.tolist()):
             continue
         noise = noise.select(scan.beam)
-        models = noise.models
-        if not _fits(models[0], scan, turbulence, duration):
+        if not _fits(noise, scan, turbulence, duration):
             continue
         if wind_speed is None and yaw is None:
-            return renamed(noise, scan, turbulence)
-        for model in models:
-            same_speed = wind_speed is None or abs(model.wind_speed - wind_speed) <= _SAME
-            same_yaw = yaw is None or abs(model.yaw - yaw) <= _SAME
-            if same_speed and same_yaw:
-                return renamed(model, scan, turbulence)
+            return with_details(renamed(noise, scan, turbulence), origin="shipped")
+        same = np.full(len(noise), True)
+        if wind_speed is not None:
+            same &= np.abs(noise.wind_speed - wind_speed) <= _SAME
+        if yaw is not None:
+            same &= np.abs(noise.yaw - yaw) <= _SAME
+        for index in np.flatnonzero(same):
+            return with_details(renamed(noise.state(int(index)), scan, turbulence), origin="shipped")
     return None
 
 
@@ -124,7 +129,7 @@ def from_cache(file: Path, key: str) -> tuple[Noise | None, str | None]:
 
     Returns
     -------
-    noise : NoiseModel, NoiseBank or None
+    noise : Noise or None
         None if it is not there, damaged, of an older version, or belongs to another key.
     damage : str or None
         What is wrong with it, if it is there.
@@ -138,8 +143,7 @@ def from_cache(file: Path, key: str) -> tuple[Noise | None, str | None]:
     except (InputError, OSError) as error:
         _log.warning("The cached noise %s is damaged and is calculated again: %s", file, error)
         return None, str(error)
-    models = noise.models
-    if any(model.details.get("key") != key for model in models):
+    if noise.details.get("key") != key:
         _log.warning("The cached noise %s belongs to another key and is calculated again.", file)
         return None, "it belongs to another key"
     return noise, None
@@ -150,7 +154,7 @@ def to_cache(noise: Noise, file: Path) -> None:
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         The noise.
     file : Path
         File in the cache; its folder is made.
@@ -167,7 +171,7 @@ def renamed(noise: Noise, scan: Scan, turbulence: MannTurbulence) -> Noise:
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Noise that was found by its numbers.
     scan : Scan
         The scan in use.
@@ -176,33 +180,49 @@ def renamed(noise: Noise, scan: Scan, turbulence: MannTurbulence) -> Noise:
 
     Returns
     -------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         The same noise with these names.
     """
-    if isinstance(noise, NoiseBank):
-        if noise.n_turbulence == 1:
-            return NoiseBank(tuple(replace(m, scan_name=scan.name, turbulence=turbulence) for m in noise.models))
-        flows = [replace(m.turbulence, name=turbulence.name, source=turbulence.source) for m in noise.models]
-        return NoiseBank(
-            tuple(replace(m, scan_name=scan.name, turbulence=t) for m, t in zip(noise.models, flows, strict=True))
-        )
-    return replace(noise, scan_name=scan.name, turbulence=turbulence)
+    if noise.n_turbulence == 1:
+        one = np.ones(len(noise))
+        scale, gamma = turbulence.length_scale * one, turbulence.gamma * one
+        return replace(noise, scan_name=scan.name, turbulence=turbulence, length_scale=scale, gamma=gamma)
+    flow = replace(noise.turbulence, name=turbulence.name, source=turbulence.source)
+    return replace(noise, scan_name=scan.name, turbulence=flow)
+
+
+def with_details(noise: Noise, **details: Any) -> Noise:
+    """Return the noise with more details, the same for all states.
+
+    Parameters
+    ----------
+    noise : Noise
+        The noise.
+    **details
+        Plain JSON values.
+
+    Returns
+    -------
+    noise : Noise
+        The same numbers.
+    """
+    return replace(noise, details={**noise.details, **details})
 
 
 @lru_cache(maxsize=64)
 def _load(file: Path, _modified: int) -> Noise:
-    """Read a shipped file once: noise models never change."""
+    """Read a shipped file once: noise never changes."""
     return load_noise(file)
 
 
-def _fits(model: NoiseModel, scan: Scan, turbulence: MannTurbulence, duration: float) -> bool:
+def _fits(noise: Noise, scan: Scan, turbulence: MannTurbulence, duration: float) -> bool:
     try:
-        model.check_scan(scan)
+        noise.check_scan(scan)
     except InputError:
         return False
-    same = (model.turbulence.dissipation, model.turbulence.length_scale, model.turbulence.gamma) == (
+    same = (noise.turbulence.dissipation, noise.turbulence.length_scale, noise.turbulence.gamma) == (
         turbulence.dissipation,
         turbulence.length_scale,
         turbulence.gamma,
     )
-    return same and abs(model.duration - duration) <= _SAME
+    return same and abs(noise.duration - duration) <= _SAME
