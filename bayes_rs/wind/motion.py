@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -24,6 +24,14 @@ from bayes_rs.wind.mean_vector import mean_wind
 ANGLES = ("tilt_deg", "roll_deg", "heading_deg")
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 _UNITS = {**dict.fromkeys(ANGLES, "degree"), **dict.fromkeys(VELOCITIES, "m s-1")}
+
+_NAMES = ("time", *ANGLES, *VELOCITIES)
+
+
+class _MotionFormat(FileFormat):
+    """How a file of motion is written."""
+
+    names: ClassVar[tuple[str, ...]] = _NAMES
 
 
 def read_motion(
@@ -48,7 +56,7 @@ def read_motion(
     time_zone : str
         Zone of times that carry none.
     time_format : str, optional
-        How times are written if not in ISO 8601, as for `bayes_rs.read_radial_velocity`.
+        How times are written if not in ISO 8601, as for `bayes_rs.read`.
     separator, decimal : str
         What separates the entries of a text file, and its decimal sign.
     invalid : sequence of float
@@ -80,27 +88,21 @@ def read_motion(
     >>> motion["tilt_deg"].values
     array([5. , 4.9])
     """
-    names = ("time", *ANGLES, *VELOCITIES)
     for name in columns:
-        if name not in names:
-            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(names)}.")
+        if name not in _NAMES:
+            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(_NAMES)}.")
     if "time" not in columns or len(columns) < 2:
         raise InputError(
             f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves, as in "
             "{'time': 'Timestamp', 'tilt_deg': 'Tilt'} (--motion-column time=Timestamp --motion-column tilt_deg=Tilt)."
         )
-    file_format = FileFormat(
+    file_format = _MotionFormat(
         columns=dict(columns),
-        beam_numbers={},
-        positive="away",
-        velocity_unit="m/s",
-        invalid=tuple(float(value) for value in invalid),
+        invalid=tuple(invalid),
         time_zone=time_zone,
-        separator="\t" if separator == "tab" else separator,
+        separator=separator,
         decimal=decimal,
-        status_valid=None,
         time_format=time_format,
-        out_of_order="sort",
         required=frozenset(columns),
     )
     parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in columns}
@@ -234,7 +236,7 @@ def remove_motion(
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` returns them.
+        Radial velocities, as `bayes_rs.read` returns them.
     motion : xarray.Dataset
         Over ``time`` (UTC), any of: ``velocity_x``, ``velocity_y``, ``velocity_z``, the velocity of the lidar in its
         levelled frame, m/s (x against its view, y to the right of one who looks out, z up); ``tilt_deg``, ``roll_deg``,
