@@ -47,18 +47,18 @@ class FileOptions:
 
     Notes
     -----
-    What is None, or an empty mapping, is not said. An option that is said counts before the scan's own ``[file]`` table,
-    which counts before the default of the file's format, which counts before the general default: positive away, m/s,
-    UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
+    What is None, or an empty mapping, is not said. An option that is said counts before the scan's own ``[file]``
+    table, which counts before the default of the file's format, which counts before the general default: positive
+    away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
 
-    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also ``azimuth``,
-    ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``; in a file without headings a column is its number, from 1.
-    ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet files; NetCDF
-    files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904) or ``matlab``
-    (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end times are moved
-    back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half of their spacing
-    of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign, stamp and zone stands
-    in docs/formats.md.
+    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also
+    ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
+    number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
+    files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)
+    or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
+    times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
+    of their spacing of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign,
+    stamp and zone stands in docs/formats.md.
 
     Examples
     --------
@@ -81,12 +81,8 @@ class FileOptions:
     beam_numbers: Mapping[str, int] = option(
         {}, "The scan's number of a beam of the files, as LOS2=2", flag="--beam-number", metavar="THEIRS=OURS"
     )
-    positive: str | None = option(
-        None, "Direction in which the files count radial velocity positive", choices=SIGNS
-    )
-    velocity_unit: str | None = option(
-        None, "Unit of the radial velocity in the files", choices=tuple(VELOCITY_UNITS)
-    )
+    positive: str | None = option(None, "Direction in which the files count radial velocity positive", choices=SIGNS)
+    velocity_unit: str | None = option(None, "Unit of the radial velocity in the files", choices=tuple(VELOCITY_UNITS))
     invalid: float | Sequence[float] | None = option(
         None, "Numbers that mark a missing entry, such as 9999", metavar="NUMBER"
     )
@@ -130,13 +126,16 @@ class FileOptions:
     def __post_init__(self) -> None:
         """Check the options, and bring them into one form."""
 
-        def put(name: str, check: Callable[..., Any], **rule: Any) -> None:
+        def put(name: str, as_one: Callable[..., Any], **rule: Any) -> None:
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, check(value, what=name, **rule))
+                object.__setattr__(self, name, as_one(value, what=name, **rule))
 
         for entry in fields(self):
             _check_length(entry.name, getattr(self, entry.name))
+        for name in ("columns", "beam_numbers"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, {})
         for name in ("file_format", "time_zone"):
             put(name, _text)
         put("columns", _columns, names=self.names)

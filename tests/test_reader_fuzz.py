@@ -29,7 +29,7 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import netcdf_guard, read_radial_velocity, read_statistics
+from bayes_rs.readers import netcdf_guard, read, read_statistics
 from bayes_rs.readers.netcdf_check import check_netcdf
 
 SIX = six_beam(45.0, step=1.0)
@@ -176,7 +176,7 @@ def check(file: Path, *, scan=SIX, statistics: bool = False, **options) -> bool:
     try:
         if statistics:
             return bool(read_statistics(file).sizes["time"] >= 0)
-        series = read_radial_velocity(file, scan, **options)
+        series = read(file, scan, **options)
     except InputError as error:
         message = str(error)
     else:
@@ -200,15 +200,15 @@ class TestText:
         file = write(folder)
         raw = file.read_bytes()
         assert check(file, **options)
-        read = 0
+        n_read = 0
         for seed in seeds:
             file.write_bytes(mutate(raw, seed))
             try:
-                read += check(file, **options)
+                n_read += check(file, **options)
             except Exception as error:
                 error.add_note(f"seed {seed} of {kind}")
                 raise
-        assert read < len(seeds)
+        assert n_read < len(seeds)
 
     def test_some(self, tmp_path, kind):
         self.damaged(tmp_path, kind, range(60))
@@ -271,14 +271,14 @@ class TestNetcdfCheck:
         series = SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32))
         file = netcdf(tmp_path / "a.nc", series, format=version, engine="scipy", unlimited_dims=["sample"])
         check_netcdf(file)
-        assert read_radial_velocity(file, SIX).sizes["sample"] == SHORT.sizes["sample"]
+        assert read(file, SIX).sizes["sample"] == SHORT.sizes["sample"]
 
     def test_a_cut_classic_file(self, tmp_path):
         """The library would give zeros."""
         file = self.write(tmp_path, format="NETCDF3_64BIT", engine="scipy")
         file.write_bytes(file.read_bytes()[:-100])
         with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: it has \d+ bytes, and a variable ends"):
-            read_radial_velocity(file, SIX)
+            read(file, SIX)
 
     def test_a_count_that_would_keep_the_library_busy(self, tmp_path):
         file = self.write(tmp_path, format="NETCDF3_64BIT", engine="scipy")
@@ -286,13 +286,13 @@ class TestNetcdfCheck:
         raw[12:16] = b"\x7f\xff\xff\xff"  # the number of dimensions
         file.write_bytes(raw)
         with pytest.raises(InputError, match="its header announces 2147483647 entries, more than it can hold"):
-            read_radial_velocity(file, SIX)
+            read(file, SIX)
 
     def test_a_variable_that_would_fill_the_memory(self, tmp_path):
         with h5py.File(tmp_path / "a.nc", "w") as opened:
             opened.create_dataset("radial_velocity", shape=(10**12,), chunks=(1000,), dtype="f8")
         with pytest.raises(InputError, match=r"its variable 'radial_velocity' announces 8000000000000 bytes"):
-            read_radial_velocity(tmp_path / "a.nc", SIX)
+            read(tmp_path / "a.nc", SIX)
 
     def test_a_flipped_bit_in_checked_metadata(self, tmp_path):
         file = self.write(tmp_path, engine="h5netcdf")
@@ -300,7 +300,7 @@ class TestNetcdfCheck:
         raw[raw.find(b"radial_velocity") + 3] ^= 1
         file.write_bytes(raw)
         with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            read_radial_velocity(file, SIX)
+            read(file, SIX)
 
 
 def _main(kind: str, first: int, last: int) -> None:

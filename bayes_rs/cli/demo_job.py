@@ -16,7 +16,7 @@ from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import demo_file, models_folder
 from bayes_rs.output import output_folder, write_run
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.readers.reading import read
 from bayes_rs.records.making import make_records
 
 WIND_SPEED = 10.0
@@ -69,7 +69,7 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
         outcomes = {}
         for name, (preset, options) in SCENES.items():
             scan = load_scan(preset, **options)
-            series = read_radial_velocity(demo_file(name), scan)
+            series = read(demo_file(name), scan)
             records = make_records(series, scan)
             outcome = run_fit(
                 records,

@@ -74,7 +74,7 @@ reading_options = _together(
         "file_format",
         default="auto",
         show_default=True,
-        help="auto, long, wide, netcdf, windcube, e-windlidar, halo, spinnerlidar or zx.",
+        help="Format of the files; auto finds it from their suffix and what they hold.",
     ),
     click.option(
         "--column",
@@ -130,30 +130,9 @@ reading_options = _together(
         help="What to do when time goes backwards.",
     ),
 )
-"""How the files are written, as for `bayes_rs.read_radial_velocity`."""
+"""How the files are written, as for `bayes_rs.read`."""
 
 
-_READ_AS_THEY_ARE = (
-    "file_format",
-    "positive",
-    "velocity_unit",
-    "time_zone",
-    "time_format",
-    "time_stamp",
-    "sample_duration",
-    "separator",
-    "decimal",
-    "status_valid",
-    "angle_tolerance_deg",
-    "range_tolerance",
-    "phase_zero_deg",
-    "phase_turns",
-    "on_bad_file",
-    "out_of_order",
-)
-"""Options of reading that `bayes_rs.read_radial_velocity` takes as they are, under the same name."""
-_READING = (*_READ_AS_THEY_ARE, "columns", "beam_numbers", "invalid")
-"""Options of reading."""
 _RULES = (
     "cnr_range",
     "velocity_range",
@@ -344,7 +323,7 @@ def given_records(files: tuple[Path, ...], scan: Scan) -> xr.Dataset | None:
     without_effect = [
         parameter.opts[0]
         for parameter in context.command.params
-        if parameter.name in (*_READING, *_MAKING)
+        if parameter.name in (*_reading_names(), *_MAKING)
         and context.get_parameter_source(parameter.name) is click.core.ParameterSource.COMMANDLINE
     ]
     if made is not None and without_effect:
@@ -357,25 +336,36 @@ def given_records(files: tuple[Path, ...], scan: Scan) -> xr.Dataset | None:
 
 def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) -> xr.Dataset:
     """Read radial velocities as the reading options say."""
-    from bayes_rs.readers import read_radial_velocity
+    from bayes_rs.readers.reading import read
 
-    return read_radial_velocity(list(files), scan, **reading_choices(options))
+    return read(list(files), scan, **reading_choices(options))
+
+
+def _reading_names() -> list[str]:
+    from bayes_rs.file_options import FileOptions
+    from bayes_rs.options import options_of
+
+    return [entry.name for entry in options_of(FileOptions)]
 
 
 def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the reading options by the names of `bayes_rs.read_radial_velocity`."""
+    """Return the reading options that are given, by the names of `bayes_rs.readers.FileOptions`."""
+    from bayes_rs.file_options import FileOptions
+
     numbers = _pairs(options["beam_numbers"], "--beam-number")
-    return {
-        **{name: options[name] for name in _READ_AS_THEY_ARE},
-        "columns": _pairs(options["columns"], "--column") or None,
-        "beam_numbers": {theirs: _whole(ours) for theirs, ours in numbers.items()} or None,
-        "invalid": list(options["invalid"]) or None,
+    chosen = {
+        **{name: options[name] for name in _reading_names()},
+        "columns": _pairs(options["columns"], "--column"),
+        "beam_numbers": {theirs: _whole(ours) for theirs, ours in numbers.items()},
+        "invalid": options["invalid"] or None,
     }
+    return FileOptions(**chosen).given()
 
 
 def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Dataset:
     """Make records as the options say, and say on stderr what was read and dropped."""
-    from bayes_rs.records.making import describe_report, make_records
+    from bayes_rs.records.making import make_records
+    from bayes_rs.records.report import describe_report
 
     if options["motion_columns"] and not options["motion"]:
         raise click.UsageError("--motion-column is only used with --motion: give the file, or leave it out.")
@@ -383,16 +373,13 @@ def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Da
     for line in describe_report(made):
         click.echo(line, err=True)
     if options["motion"]:
-        from bayes_rs.wind.motion import read_motion, with_motion
+        from bayes_rs.file_options import FileOptions
+        from bayes_rs.records.record_options import RecordOptions
+        from bayes_rs.wind.motion import add_motion
 
-        written = {name: options[name] for name in ("time_zone", "time_format", "separator", "decimal")}
-        motion = read_motion(
-            list(options["motion"]),
-            columns=_pairs(options["motion_columns"], "--motion-column"),
-            **{name: value for name, value in written.items() if value is not None},
-            invalid=options["invalid"] or scan.file_format.get("invalid", ()),
-        )
-        made = with_motion(made, motion, scan)
+        columns = _pairs(options["motion_columns"], "--motion-column")
+        asked = RecordOptions(motion=options["motion"], motion_columns=columns)
+        made = add_motion(made, scan, asked, FileOptions(**reading_choices(options)))
         without = int((made["motion_count"] == 0).sum())
         click.echo(f"tilt and roll from {len(options['motion'])} files; {without} records without", err=True)
     return made
@@ -400,7 +387,7 @@ def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Da
 
 def record_choices(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of records by the names of `bayes_rs.make_records`."""
-    from bayes_rs.quality import QualityRules
+    from bayes_rs.quality.rules import QualityRules
 
     rules = QualityRules(**{name: options[name] for name in _RULES})
     return {"duration": options["duration"], "min_availability": options["min_availability"], "quality": rules}

@@ -14,6 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs._version import __version__
+from bayes_rs.file_options import FileOptions
 from bayes_rs.fits.campaign import Campaign, begin_campaign, check_workers, run_campaign
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_job import versions
@@ -36,7 +37,7 @@ from bayes_rs.output import RUN_FILE, output_file, prepare_resumable_folder, wri
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.registry import SUFFIXES
-from bayes_rs.records.record_store import store_records
+from bayes_rs.records.record_store import CHUNK_ROWS, store_records
 from bayes_rs.records.report import describe_report
 
 MOST_FULL = 2000
@@ -205,14 +206,14 @@ def run_folder_fit(
     Parameters
     ----------
     files : str, Path or sequence of them
-        Files, folders and patterns, as for `stream_radial_velocity`.
+        Files, folders and patterns, as for `stream`.
     scan : Scan
         The scan they were measured with.
     output : str or Path
         Folder to make, with the Parquet datasets of `fit_campaign`, ``records.nc``, ``run.json`` and, up to 20 000
         records, ``summary.csv``. Its folder ``records`` keeps what was made of the files.
     reading : dict, optional
-        Options of `stream_radial_velocity`.
+        Options of `stream`.
     recording : dict, optional
         Options of `make_records`.
     chunk_rows : int, optional
@@ -310,8 +311,8 @@ def run_folder_fit(
             files,
             scan,
             folder / "records",
-            reading=read,
-            chunk_rows=chunk_rows,
+            reading=FileOptions(**{"on_bad_file": "skip", **read}),
+            chunk_rows=chunk_rows or CHUNK_ROWS,
             lateness=lateness,
             show_progress=show_progress,
             **made,

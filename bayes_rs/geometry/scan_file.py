@@ -361,9 +361,7 @@ def _file_format(table: dict[str, Any], path: Path) -> dict[str, Any]:
         if name not in known:
             hint = nearest(name, known) if len(name) < 100 else "remove it"
             place = name if name.isprintable() and len(name) < 100 else shown(name)
-            raise InputError(
-                f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}."
-            )
+            raise InputError(f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}.")
     try:
         options = to_plain(from_plain(FileOptions, table, where="file"))
     except InputError as error:

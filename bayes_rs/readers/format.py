@@ -83,9 +83,7 @@ class FileFormat(FileOptions):
         return np.isin(values, np.asarray(self.invalid, dtype=np.float64))
 
 
-def resolve_format(
-    options: FileOptions, scan: Scan | None, *, defaults: Mapping[str, Any] | None = None
-) -> FileFormat:
+def resolve_format(options: FileOptions, scan: Scan | None, *, defaults: Mapping[str, Any] | None = None) -> FileFormat:
     """Combine the caller's options, the scan's own file format and the defaults, in this order of precedence.
 
     Parameters

@@ -19,6 +19,8 @@ from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.registry import FORMATS, SUFFIXES, read_file
 from bayes_rs.readers.samples import FilesReport, Samples, check_order, join_samples, no_sample, none_read
 
+__all__ = ["FileOptions", "checked_options", "read"]
+
 
 def read(files: str | Path | Sequence[str | Path], scan: str | Path | Scan, **options: Any) -> xr.Dataset:
     r"""Read a lidar's radial velocities from one or several files.

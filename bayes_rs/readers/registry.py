@@ -171,8 +171,9 @@ def _with_status(samples: Samples, options: FileOptions) -> Samples:
     """Return the samples; refuse those without a status if the caller says which status is good."""
     if options.status_valid is not None and samples.status is None:
         raise InputError(
-            f"File {str(samples.file)!r} has no status, which status_valid={options.status_valid:g} is about: say what the file calls "
-            "it with columns={'status': 'its heading'} (--column status=HEADING), or leave status_valid out."
+            f"File {str(samples.file)!r} has no status, which status_valid={options.status_valid:g} is about: say "
+            "what the file calls it with columns={'status': 'its heading'} (--column status=HEADING), or leave "
+            "status_valid out."
         )
     return samples
 

@@ -72,7 +72,8 @@ def find_scan(
     probe : Probe, optional
         The probe volume of the beams, as `make_probe` returns it; none if not given.
     **options
-        How the files are written, as for `read`: the fields of `bayes_rs.readers.FileOptions`, such as ``invalid=-9999``.
+        How the files are written, as for `read`: the fields of `bayes_rs.readers.FileOptions`, as
+        ``invalid=-9999``.
 
     Returns
     -------

@@ -17,7 +17,7 @@ from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.result import FLAGS
 from bayes_rs.fits.words import FAILURES
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.records.making import describe_report
+from bayes_rs.records.report import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
 from bayes_rs.report.folder import FitFolder

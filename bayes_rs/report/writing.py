@@ -57,7 +57,7 @@ def write_report(
     --------
     >>> import tempfile, bayes_rs as brs
     >>> scan = brs.load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0)
-    >>> records = brs.make_records(brs.read_radial_velocity(brs.demo_file("6-beam-45"), scan), scan)
+    >>> records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan)
     >>> noise = brs.calibrate(scan, brs.load_turbulence("fu-2022"), wind_speed=10.0, cache=False)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     campaign = brs.fit_campaign(records, scan, f"{folder}/hour", noise=noise, seed=1)

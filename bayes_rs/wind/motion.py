@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.attitude import level_direction, roll_matrix
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import open_table
 from bayes_rs.records.making import make_records
+from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.wind.mean_vector import mean_wind
 
 ANGLES = ("tilt_deg", "roll_deg", "heading_deg")
@@ -26,6 +28,8 @@ VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 _UNITS = {**dict.fromkeys(ANGLES, "degree"), **dict.fromkeys(VELOCITIES, "m s-1")}
 
 _NAMES = ("time", *ANGLES, *VELOCITIES)
+_OF_BOTH = ("time_zone", "time_format", "separator", "decimal", "invalid")
+"""What files of motion have in common with those of radial velocities."""
 
 
 class _MotionFormat(FileFormat):
@@ -128,6 +132,44 @@ def read_motion(
         {name: ("time", values[order][last], {"units": _UNITS[name]}) for name, values in whole.items()},
         coords={"time": time[last].astype("datetime64[ns]")},
     )
+
+
+def add_motion(records: xr.Dataset, scan: Scan, options: RecordOptions, files: FileOptions | None = None) -> xr.Dataset:
+    """Give records the lidar's own tilt and roll from the files that the options of records name.
+
+    Parameters
+    ----------
+    records : xarray.Dataset
+        From `make_records`.
+    scan : Scan
+        The scan that they were measured with.
+    options : RecordOptions
+        With the files of motion and their columns.
+    files : FileOptions, optional
+        How the files of radial velocities are written: those of motion have the same zone, form of times, separator,
+        decimal sign and numbers for missing entries. What is not said is what `read_motion` takes it to be; numbers for
+        missing entries are then those of the scan's files.
+
+    Returns
+    -------
+    records : xarray.Dataset
+        As `with_motion` returns them; the same records if the options name no files.
+
+    Raises
+    ------
+    InputError
+        If a file or column cannot be read.
+    """
+    if not options.motion:
+        return records
+    written = {} if files is None else files.given()
+    motion = read_motion(
+        options.motion,
+        columns=options.motion_columns,
+        **{"invalid": scan.file_format.get("invalid", ())}
+        | {name: written[name] for name in _OF_BOTH if name in written},
+    )
+    return with_motion(records, motion, scan)
 
 
 def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Dataset:

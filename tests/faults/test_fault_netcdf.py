@@ -9,11 +9,11 @@ import pytest
 import xarray as xr
 from scenes import plain_noise
 
-from bayes_rs import InputError, load_noise, load_scan, open_result, read_radial_velocity
+from bayes_rs import InputError, load_noise, load_scan, open_result, read
 from bayes_rs.records.record_files import open_records
 
 SCAN = load_scan("2-beam")
-LOADERS = [load_noise, lambda file: read_radial_velocity(file, SCAN)]
+LOADERS = [load_noise, lambda file: read(file, SCAN)]
 
 
 def huge(file):
