@@ -34,7 +34,7 @@ INSTRUMENT_NOISE = (0.03, 0.05)
 def read(folder: Path) -> tuple[xr.Dataset, pd.DataFrame]:
     """Return the records of the day and the masts' turbulence intensities."""
     scan = brs.load_scan("pulsed-4-beam")
-    series = brs.read_radial_velocity(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     reference = pd.read_csv(folder / "ReferencePulsed.csv", parse_dates=["Timestamp"])
     reference["both"] = 0.5 * (reference["TI_North"] + reference["TI_South"])
     return brs.make_records(series, scan), reference
@@ -129,7 +129,7 @@ def as_the_masts_see(records: xr.Dataset, reference: pd.DataFrame) -> xr.Dataset
 def as_the_spectra_say(folder: Path, records: xr.Dataset) -> xr.Dataset:
     """Return the records with the length scales and the instrument's noise of their own spectra."""
     scan, flow = brs.load_scan("pulsed-4-beam"), brs.load_turbulence("fu-2022")
-    series = brs.read_radial_velocity(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     spectra = brs.radial_spectra(series, scan, records)
     fitted = brs.fit_spectra(spectra, scan, gamma=flow.gamma)
     estimate = brs.estimate_instrument_noise(spectra.assign(length_scale=fitted["length_scale"]), scan, flow)

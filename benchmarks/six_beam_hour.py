@@ -32,7 +32,7 @@ def compare(
     tables = []
     for height in heights:
         scan = brs.find_scan(folder / FILE, height=height)
-        series = brs.read_radial_velocity(folder / FILE, scan)
+        series = brs.read(folder / FILE, scan)
         for duration in DURATIONS:
             every = brs.make_records(series, scan, duration=duration)
             for number in range(every.sizes["record"]):

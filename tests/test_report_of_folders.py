@@ -19,7 +19,7 @@ from bayes_rs import (
     load_scan,
     make_records,
     open_result,
-    read_radial_velocity,
+    read,
     run_fit,
     run_folder_fit,
     save_scan,
@@ -59,9 +59,7 @@ def place(tmp_path_factory):
     calibrate(scan, FLOW, wind_speed=10.0, duration=DURATION, cache=False).save(folder / "noise.nc")
     options = {"noise_file": folder / "noise.nc", "prior": PRIOR, "derived": DERIVED, "sampler": "auto", **FITTING}
     reading = {"invalid": [9999.0]}
-    records = make_records(
-        read_radial_velocity(folder / "year", scan, on_bad_file="skip", **reading), scan, **RECORDING
-    )
+    records = make_records(read(folder / "year", scan, on_bad_file="skip", **reading), scan, **RECORDING)
     run_fit(records, scan, folder / "at-once", **options)
     for draws in ("none", "float64"):
         run_folder_fit(
@@ -132,7 +130,7 @@ class TestSameBytes:
             order = np.argsort(np.arange(len(frame)) + np.random.default_rng(3).uniform(0.0, 30.0, len(frame)))
             frame.iloc[order].to_csv(tmp_path / "year" / file.name, index=False)
         reading = {"invalid": [9999.0], "out_of_order": "sort"}
-        whole = json.loads(read_radial_velocity(tmp_path / "year", scan, **reading).attrs["read_report"])
+        whole = json.loads(read(tmp_path / "year", scan, **reading).attrs["read_report"])
         assert whole["samples_out_of_order"] > 100
         for rows in (40, 333, 100_000):
             stored = record_store.store_records(
@@ -146,7 +144,7 @@ class TestSameBytes:
             (tmp_path / "year" / day).mkdir(parents=True)
             shutil.copy(place / "year" / name, tmp_path / "year" / day / "lidar.csv")
         stored = record_store.store_records(tmp_path / "year", scan, tmp_path / "store", **RECORDING)
-        whole = read_radial_velocity(tmp_path / "year", scan)
+        whole = read(tmp_path / "year", scan)
         assert json.loads(stored.records.attrs["read_report"]) == json.loads(whole.attrs["read_report"])
         assert len(json.loads(whole.attrs["read_report"])["files"]) == 2
 

@@ -169,7 +169,7 @@ class TestRadialSpectra:
         cnr = np.zeros(600)
         cnr[100:150] = -30.0
         series = series.assign(cnr=("sample", cnr))
-        records = brs.make_records(series, STARING, cnr_range=(-23.0, 10.0))
+        records = brs.make_records(series, STARING, quality=brs.QualityRules(cnr_range=(-23.0, 10.0)))
         spectra = brs.radial_spectra(series, STARING, records)
         assert int(spectra["count"].values[0, 0]) == int(records["count"].values[0, 0]) == 550
         assert np.all(np.isnan(spectra["radial_velocity"].values[0, 0, 100:150]))

@@ -85,7 +85,7 @@ def test_its_records_go_into_a_fit(tmp_path, common):
 
 def test_the_measured_day(iea_folder):
     scan = brs.load_scan("pulsed-4-beam")
-    series = brs.read_radial_velocity(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     records = brs.make_records(series, scan)
     day = brs.radial_spectra(series, scan, records)
     assert day.attrs["interval"] == pytest.approx(4.0, rel=0.01)

@@ -7,8 +7,8 @@ from scipy import stats
 
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence, mean_wind
+from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
-from bayes_rs.records.making import RECORD_FLAGS
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.wind.mean_error import record_mean_covariance
 
@@ -335,7 +335,7 @@ class TestMeasuredDay:
     def test_direction_of_the_wind(self, iea_folder):
         """The organisers: the beams look to 221.8° and 250.2°, and the wind blows from the sector 180° to 280°."""
         scan = load_scan("pulsed-4-beam")
-        series = brs.read_radial_velocity(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+        series = brs.read(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
         found = mean_wind(brs.make_records(series, scan), scan, turbulence=FLOW, heading_deg=236.0)
         direction = found["wind_direction"].values
         assert len(direction) == 144

@@ -136,7 +136,7 @@ class TestCommand:
         assert done.exit_code == 0, done.output
         assert "uncertainty of the wind's direction: from the beams' means" in done.output
         scan = brs.load_scan("2-beam")
-        records = brs.make_records(brs.read_radial_velocity(inputs / "day.csv", scan), scan)
+        records = brs.make_records(brs.read(inputs / "day.csv", scan), scan)
         wind = brs.mean_wind(records, scan, turbulence=FLOW)
         found = xr.load_dataset(tmp_path / "out" / "records.nc")
         np.testing.assert_array_equal(found["yaw_sd"], wind["yaw_sd"])

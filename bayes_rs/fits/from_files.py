@@ -124,7 +124,7 @@ def _read(
         folder,
         reading=settings.files,
         quality=settings.quality,
-        show_progress=progress,
+        progress=progress,
         say=say,
         **options,
     )

@@ -13,10 +13,12 @@ from pydantic import Field, ValidationError, field_validator
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_changes import split_changes
 from bayes_rs.models import find_model
+from bayes_rs.options import from_plain, nearest, options_of, to_plain
 from bayes_rs.toml_file import Size, Table, Text, first_fault, invalid_file, read_toml, shown
 
 MOST_BEAMS = 10_000
@@ -148,34 +150,13 @@ class _PulsedProbe(Table):
     pulse_length: Size | None = None
 
 
-class _FileFormat(Table):
-    """How this instrument's files name and sign things; the meaning of each key is in `read_radial_velocity`."""
-
-    columns: dict[str, str] = Field(default_factory=dict)
-    beam_numbers: dict[str, _Whole] = Field(default_factory=dict)
-    positive: Literal["away", "towards"] | None = None
-    velocity_unit: Literal["m/s", "km/h", "knot"] | None = None
-    invalid: list[float] | None = None
-    time_zone: str | None = None
-    separator: str | None = None
-    decimal: str | None = None
-    status_valid: int | None = None
-    time_format: str | None = None
-    time_stamp: Literal["start", "middle", "end"] | None = None
-    sample_duration: float | None = None
-    angle_tolerance_deg: float | None = None
-    range_tolerance: float | None = None
-    phase_zero_deg: float | None = None
-    phase_turns: Literal["up", "down"] | None = None
-
-
 class _ScanFile(Table):
     title: Text
     source: Text
     beams: Annotated[_ConeBeams | _RosetteBeams | _ListedBeams, Field(discriminator="pattern")]
     timing: _Timing
     mounting: _Mounting = _Mounting()
-    file: _FileFormat = _FileFormat()
+    file: dict[str, Any] = Field(default_factory=dict)
     probe: Annotated[_PointProbe | _ContinuousWaveProbe | _PulsedProbe, Field(discriminator="kind")] = _PointProbe(
         kind="point"
     )
@@ -298,8 +279,30 @@ def load_scan(
         "beams": _given(opening_angle_deg=opening_angle_deg, focus_distance=_as_list(focus_distance)),
         "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
     }
-    scan = _build(path.stem, _validate(table, path, {part: values for part, values in new.items() if values}))
+    spec = _validate(table, path, {part: values for part, values in new.items() if values})
+    scan = _build(path.stem, spec, _file_format(spec.file, path))
     return scan if probe is None else replace(scan, probe=_probe_of(probe))
+
+
+def as_scan(scan: str | Path | Scan) -> Scan:
+    """Return a scan itself, or load the one that a name or a file means.
+
+    Parameters
+    ----------
+    scan : Scan, str or Path
+        A scan, or what `load_scan` takes.
+
+    Returns
+    -------
+    scan : Scan
+        The scan.
+
+    Examples
+    --------
+    >>> as_scan("6-beam").n_beam
+    6
+    """
+    return scan if isinstance(scan, Scan) else load_scan(scan)
 
 
 def _given(**arguments: Any) -> dict[str, Any]:
@@ -377,7 +380,23 @@ def _validate(table: dict[str, Any], path: Path, changes: dict[str, Any]) -> _Sc
         raise InputError(f"Invalid change of scan {path.stem!r}: {fault}.") from error
 
 
-def _build(name: str, spec: _ScanFile) -> Scan:
+def _file_format(table: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return what the table ``[file]`` says, checked and in one form."""
+    known = {entry.name: entry.type for entry in options_of(FileOptions) if entry.name not in OF_READING}
+    for name, value in table.items():
+        if name not in known:
+            hint = nearest(name, known) if len(name) < 100 else "remove it"
+            place = name if name.isprintable() and len(name) < 100 else shown(name)
+            raise InputError(f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}.")
+    try:
+        options = to_plain(from_plain(FileOptions, table, where="file"))
+    except InputError as error:
+        fault = str(error)
+        raise InputError(f"Invalid scan file {str(path)!r}: file: {fault[0].lower()}{fault[1:]}") from error
+    return {name: value for name, value in options.items() if name in table}
+
+
+def _build(name: str, spec: _ScanFile, file_format: dict[str, Any]) -> Scan:
     directions = spec.beams.directions()
     distances, own_times = _distances(name, spec.beams), _own_values(name, spec.beams, "time")
     n_beam, n_plane = len(directions), len(distances)
@@ -410,7 +429,7 @@ def _build(name: str, spec: _ScanFile) -> Scan:
         yaw=float(np.deg2rad(spec.mounting.yaw_deg)),
         title=spec.title,
         source=spec.source,
-        file_format=spec.file.model_dump(exclude_none=True),
+        file_format=file_format,
         probe=make_probe(**spec.probe.model_dump()),
     )
 

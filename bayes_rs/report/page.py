@@ -16,7 +16,7 @@ import numpy as np
 from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.records.making import describe_report
+from bayes_rs.records.report import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
 from bayes_rs.report.report_data import ReportData

@@ -47,7 +47,7 @@ def reconstruct_pairs(
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` returns them.
+        Radial velocities, as `read` returns them.
     scan : Scan
         The scan that measured them.
     plane : {"horizontal", "vertical"}

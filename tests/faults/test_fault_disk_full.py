@@ -188,7 +188,7 @@ class TestReading:
 
         monkeypatch.setattr(Path, "open", opening)
         with pytest.raises(OSError, match="No space left on device") as caught:
-            brs.read_radial_velocity(file, SCAN)
+            brs.read(file, SCAN)
         assert not isinstance(caught.value, InputError)
 
 

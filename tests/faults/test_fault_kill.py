@@ -61,7 +61,7 @@ class TestFiles:
         (hidden / "records.csv").write_text("half")
         good = tmp_path / "good.csv"
         good.write_text("time,beam,radial_velocity\n2020-01-01T00:00:00,0,1.0\n2020-01-01T00:00:01,1,1.0\n")
-        series = brs.read_radial_velocity(tmp_path, brs.load_scan("2-beam"))
+        series = brs.read(tmp_path, brs.load_scan("2-beam"))
         assert series.sizes["sample"] == 2
 
 
