@@ -221,7 +221,7 @@ def measure(n_record: int, priors: list[str]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def table.summary(: pd.DataFrame) -> list[str]:
+def summary(table: pd.DataFrame) -> list[str]:
     """Return the rows of docs/likelihood.md: means over scans and stresses, and the largest error of a coverage."""
     rows = []
     for (prior, source, name), part in table.groupby(["prior", "source", "likelihood"], sort=False):

@@ -29,7 +29,6 @@ from bayes_rs import (
     fit_campaign,
     load_scan,
     read_summary,
-    summary,
 )
 from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
 from bayes_rs.fits.flags import FLAGS

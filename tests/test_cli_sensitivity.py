@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, WeakPrior, cli, directions, load_scan, prior_sensitivity, run_fit
+from bayes_rs import STRESSES, WeakPrior, cli, load_scan, prior_sensitivity, run_fit
 from bayes_rs.fits.prior_check import COLUMNS
-from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
 
 FACTORS = ("--factor", "0.5", "--factor", "3")
 

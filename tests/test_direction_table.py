@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, direction_words, directions, fit, load_scan
+from bayes_rs import InputError, WeakPrior, direction_words, fit, load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 from bayes_rs.priors.registry import FlatPrior

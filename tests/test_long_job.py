@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.fits.long_job import run_long_fit
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
 
 from bayes_rs import InputError, MissingExtraError, make_records, read, read_summary
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store, tables
-from bayes_rs.fits.long_job import run_long_fit
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.records.record_store import store_records

@@ -8,7 +8,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, InputError, fit, load_scan, corner, stresses
+from bayes_rs import STRESSES, InputError, corner, fit, load_scan, stresses
 from bayes_rs.plot.corner_plot import (
     POSTERIOR_COLOUR,
     PRIOR_COLOUR,

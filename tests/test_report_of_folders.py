@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.report.folder import read_folder
 from folder_scene import DURATION, FITTING, FLOW, RECORDING
 
 from bayes_rs import (
     InputError,
     WeakPrior,
-    directions,
     fit,
     fit_campaign,
     load_scan,
@@ -30,7 +30,6 @@ from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
 from bayes_rs.noise.calibrating import calibrate
-from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow
 N_RECORD = 10

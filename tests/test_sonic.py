@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayes_rs.fits.fit_job import run_fit
 from noise_checks import check_noise
 from scenes import records_of
 from scipy import stats
 
 from bayes_rs import fit, load_scan, load_turbulence
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.fits.fit_job import run_fit
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import is_realizable, pack_stress, unpack_stress

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, RatioPrior, Scan, design_matrix, fit, load_scan, summary
+from bayes_rs import InputError, RatioPrior, Scan, design_matrix, fit, load_scan
 from bayes_rs.geometry.attitude import gain_turn, level_direction, roll_matrix
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.noise.noise import Noise

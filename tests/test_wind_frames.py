@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, design_matrix, fit, lidar_frame_stress, load_scan, summary
+from bayes_rs import InputError, WeakPrior, design_matrix, fit, load_scan
 from bayes_rs.fits.frames import to_lidar_frame
 
 

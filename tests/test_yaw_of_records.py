@@ -7,15 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.fits.fit_job import run_fit
+from bayes_rs.fits.record_yaw import with_yaw_sd
+from bayes_rs.fits.sensitivity_job import run_sensitivity
 from campaign_scene import NOISE, SCAN, make_records
 from click.testing import CliRunner
 
 import bayes_rs as brs
 from bayes_rs.cli import commands
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits.fit_job import run_fit
-from bayes_rs.fits.record_yaw import with_yaw_sd
-from bayes_rs.fits.sensitivity_job import run_sensitivity
 from bayes_rs.posteriors.nuisance import Nuisances
 
 OWN = Nuisances(yaw_sd_deg="records")

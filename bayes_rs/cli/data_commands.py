@@ -74,11 +74,12 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
 def plan(scan: str, wind_speed: float, **options: Any) -> None:
     """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
     from bayes_rs.design.planning import plan as make_plan
+    from bayes_rs.turbulence.mann import load_turbulence
 
     settings = settings_of((), {"scan": scan, **options})
     made = make_plan(
         settings.scan.load(),
-        settings.noise.turbulence,
+        load_turbulence(settings.noise.turbulence),
         wind_speed=wind_speed,
         duration=settings.records.duration,
         prior=settings.fit.prior,
@@ -120,10 +121,12 @@ def calibrate(
     **options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
+    from bayes_rs.noise.box_noise import Boxes
     from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
 
     settings = settings_of((), {"scan": scan, **options})
+    method = settings.noise.noise_method
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
             settings.scan.load(),
@@ -131,9 +134,7 @@ def calibrate(
             wind_speed=list(wind_speed),
             yaw_deg=list(noise_yaw) or None,
             duration=settings.records.duration,
-            method=settings.noise.noise_method,
-            n_boxes=n_boxes,
-            seed=seed,
+            method=Boxes(n_boxes=n_boxes, seed=seed) if method == "boxes" else method,
             sonic=sonic,
         )
         noise.save(part)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -73,11 +74,16 @@ class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new 
             unit = f", {self.unit}" if self.unit else ""
             self.fail(f"{value!r} must be a number{unit}, or the word {' or '.join(self.words)}.", param, ctx)
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002 - click's
         """Return what stands for the value in the help."""
         return f"NUMBER|{'|'.join(self.words)}"
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - the arguments are click's
+        param: click.Parameter,  # noqa: ARG002 - as above
+        incomplete: str,
+    ) -> list[CompletionItem]:
         """Complete the words."""
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
@@ -91,7 +97,12 @@ class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
         """Take what returns the list."""
         self.choices = choices
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - the arguments are click's
+        param: click.Parameter,  # noqa: ARG002 - as above
+        incomplete: str,
+    ) -> list[CompletionItem]:
         """Complete the entries of the list."""
         return [CompletionItem(word) for word in self.choices() if word.startswith(incomplete)]
 
@@ -118,7 +129,7 @@ def settings_options(
             for entry in options_of(SECTIONS[section]):
                 if entry.name in without or (wanted is not None and entry.name not in wanted):
                     continue
-                nested = options_of(entry.type) if isinstance(entry.type, type) and entry.flag else []
+                nested = options_of(entry.type) if isinstance(entry.type, type) and is_dataclass(entry.type) else []
                 if nested:
                     made += [_option(one, _TITLES.get(entry.name, entry.name)) for one in nested if one.flag]
                 elif entry.flag:

@@ -202,7 +202,7 @@ class FitData:
         """
         if record is None:
             return self._draws_of(np.arange(self.n_record), "draws", STRESSES)
-        return self._draws_of(np.array([self.find_record(record)]), "draws", STRESSES)[0]
+        return np.asarray(self._draws_of(np.array([self.find_record(record)]), "draws", STRESSES)[0])
 
     def batches(self) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
         """Give the draws of all fitted records some records at a time.

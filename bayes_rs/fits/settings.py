@@ -60,7 +60,7 @@ class ScanOptions:
         InputError
             If none is named, or it is not valid.
         """
-        mounted = {
+        mounted: dict[str, Any] = {
             "opening_angle_deg": self.opening_angle_deg,
             "focus_distance": None if self.focus_distance is None else list(self.focus_distance),
             "tilt_deg": self.tilt_deg,
@@ -276,7 +276,7 @@ class Settings:
         InputError
             If a section or an option is not known, or a value is not valid.
         """
-        sections = {}
+        sections: dict[str, Any] = {}
         for name, values in plain.items():
             if name not in SECTIONS:
                 raise InputError(f"Unknown section {name!r} in {where}: {nearest(name, SECTIONS)}.")

@@ -199,17 +199,6 @@ def load_scan_text(text: str, *, name: str, **changes: Any) -> Scan:
         return replace(load_scan(file, **changes), name=name)
 
 
-def as_scan(scan: str | Path | Scan) -> Scan:
-    """Return the scan itself, or the one that a name or a file means.
-
-    Examples
-    --------
-    >>> as_scan("6-beam").n_beam
-    6
-    """
-    return scan if isinstance(scan, Scan) else load_scan(scan)
-
-
 def load_scan(
     name: str | Path,
     *,
@@ -282,27 +271,6 @@ def load_scan(
     spec = _validate(table, path, {part: values for part, values in new.items() if values})
     scan = _build(path.stem, spec, _file_format(spec.file, path))
     return scan if probe is None else replace(scan, probe=_probe_of(probe))
-
-
-def as_scan(scan: str | Path | Scan) -> Scan:
-    """Return a scan itself, or load the one that a name or a file means.
-
-    Parameters
-    ----------
-    scan : Scan, str or Path
-        A scan, or what `load_scan` takes.
-
-    Returns
-    -------
-    scan : Scan
-        The scan.
-
-    Examples
-    --------
-    >>> as_scan("6-beam").n_beam
-    6
-    """
-    return scan if isinstance(scan, Scan) else load_scan(scan)
 
 
 def _given(**arguments: Any) -> dict[str, Any]:

@@ -97,8 +97,8 @@ def _bands(fit: Fit, prob: float) -> tuple[FloatArray, list[str]]:
             "or fit again with draws='float32'."
         )
     table = fit.table("summary")
-    rows = table[table["stress"].isin(STRESSES)]
-    columns = [rows[name].to_numpy(dtype=np.float64) for name in ("hdi_low", "median", "hdi_high")]
+    of_stresses = table[table["stress"].isin(STRESSES)]
+    columns = [of_stresses[name].to_numpy(dtype=np.float64) for name in ("hdi_low", "median", "hdi_high")]
     return np.stack(columns).reshape(3, fit.n_record, len(STRESSES)), [f"highest density, {100 * prob:g} %"]
 
 

@@ -88,8 +88,7 @@ class _Progress:
     """What is done: the state of the stream, which files and parts it comes from, and what was read of them."""
 
     state: StreamState = field(default_factory=StreamState)
-    parts: tuple[str, ...] = ()
-    """The SHA-256 of each part's file."""
+    n_part: int = 0
     files: Mapping[str, list[Any]] = field(default_factory=dict)
     bad: Mapping[str, str] = field(default_factory=dict)
     read: Mapping[str, Any] = field(default_factory=dict)
@@ -177,7 +176,8 @@ def store_records(
         done, n_resumed = _Progress(), 0
     else:
         raise InputError(
-            f"The records in {str(folder.path)!r} do not stay as they were written: check the disk, or give another folder."
+            f"The records in {str(folder.path)!r} do not stay as they were written: check the disk, or give another "
+            "folder."
         )
     records = join_blocks(parts, done.state, asked.scan, **asked.making)
     if done.read:

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from scenes import plain_noise
 
-from bayes_rs import InputError, load_scan, open_fit, read
+from bayes_rs import InputError, load_scan, read
 from bayes_rs.noise.file import load_noise
 from bayes_rs.records.record_files import open_records
 

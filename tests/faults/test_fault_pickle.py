@@ -10,11 +10,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from bayes_rs.report.folder import _draws_of_store
 
 import bayes_rs
 from bayes_rs.models import models_folder
 from bayes_rs.records import record_store
-from bayes_rs.report.folder import _draws_of_store
 
 PACKAGE = Path(bayes_rs.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))

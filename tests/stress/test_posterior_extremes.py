@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance, summary
+from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.noise import Noise
