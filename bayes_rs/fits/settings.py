@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,12 @@ class ScanOptions:
             if self.scan is None:
                 raise InputError("No scan is given: name one with scan (--scan), such as zx-tm or a TOML file.")
             return load_scan(self.scan, **mounted)
-        return load_scan_text(self.scan_toml, name=self.scan or "scan", **mounted)
+        kept = load_scan_text(self.scan_toml, name=self.scan or "scan", **mounted)
+        if self.scan is not None:
+            with suppress(InputError):  # the name need not mean anything here
+                named = load_scan(self.scan, **mounted)
+                return named if named.key == kept.key else kept
+        return kept
 
 
 @described
@@ -327,7 +333,8 @@ def _of_run(file: Path) -> dict[str, Any]:
             f"The run of {str(file)!r} had a prior that is an object of Python ({run.get('prior')}), so it cannot be "
             "repeated from its file: fit again in Python."
         )
-    plain["scan"] = {"scan": run["scan"], "scan_toml": run["scan_toml"]}
+    named = plain.get("scan", {}).get("scan") or run["scan"]
+    plain["scan"] = {"scan": named, "scan_toml": run["scan_toml"]}
     plain.setdefault("files", {}).setdefault("files", [])
     if not plain["files"]["files"]:
         plain["files"]["files"] = ["records.nc"]
