@@ -16,8 +16,8 @@ REACH = np.array([np.log(1.1), np.deg2rad(3.5), np.log(1.1), 0.15])
 """Steps in ln U, yaw, ln L and Γ that change the width of an interval by 5 % at most.
 
 A record is outside where its distances to the states, each over its step, add up to more than one. The width goes as
-the root of K's diagonal; over the shipped scans and 5 to 20 m/s, steps of 0.11 in ln U and in ln L change it by 5 %, and
-so do 5.5° and 0.21 in Γ at 15°, and 3.5° and 0.15 at 45° (``benchmarks/noise_reach.py``).
+the root of K's diagonal; over the shipped scans and 5 to 20 m/s, steps of 0.11 in ln U and in ln L change it by 5 %,
+and so do 5.5° and 0.21 in Γ at 15°, and 3.5° and 0.15 at 45° (``benchmarks/noise_reach.py``).
 """
 
 
