@@ -73,7 +73,10 @@ def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
 @click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
 @click.option(
-    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+    "--prior",
+    default="weak",
+    show_default=True,
+    help="Its name, with parameters if any, as ratio:vv=0.6,sd_vv=0.3; an unknown one lists them.",
 )
 @click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
 def plan(

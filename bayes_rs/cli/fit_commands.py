@@ -75,7 +75,10 @@ _SENSITIVITY_OPTIONS = (
 )
 @click.option("--noise-method", default="theory", show_default=True, help="theory or boxes, if no noise file is given.")
 @click.option(
-    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+    "--prior",
+    default="weak",
+    show_default=True,
+    help="Its name, with parameters if any, as ratio:vv=0.6,sd_vv=0.3; an unknown one lists them.",
 )
 @click.option("--target", default="record", show_default=True, help="record, ensemble or sonic: which R.")
 @click.option(
