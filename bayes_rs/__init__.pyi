@@ -64,10 +64,6 @@ from .noise.theory import theory_noise as theory_noise
 from .plot.lumley_plot import plot_lumley as plot_lumley
 from .plot.plots import plot_corner as plot_corner
 from .plot.plots import plot_stresses as plot_stresses
-from .posteriors.diagnostics import autocorrelation_time as autocorrelation_time
-from .posteriors.diagnostics import ess_bulk as ess_bulk
-from .posteriors.diagnostics import ess_tail as ess_tail
-from .posteriors.diagnostics import r_hat as r_hat
 from .posteriors.nuisance import Nuisances as Nuisances
 from .priors.registry import FlatPrior as FlatPrior
 from .priors.registry import GaussianPrior as GaussianPrior

@@ -78,10 +78,11 @@ def fit(
     sampler : str
         ``"emcee"``: one emcee ensemble for many records, driven by proposals fitted to each. ``"direct"``: independent
         draws of such proposals, weighted and resampled; the quickest. ``"auto"``: direct, and emcee for the records
-        whose weights are too uneven for that. ``"emcee-plain"``: stretch moves, one record at a time; slow, for
-        reference. All give the same posterior.
+        whose weights are too uneven for that. All give the same posterior. Or the name of a sampler of your own in
+        `bayes_rs.posteriors.sampling.SAMPLERS`.
     likelihood : str
-        ``"log-normal"``, ``"gaussian"``, ``"gaussian-plugin"`` or ``"gamma"``: the distribution of the variances.
+        ``"log-normal"``, the distribution of the variances, or the name of one of your own in
+        `bayes_rs.likelihoods.log_normal.LIKELIHOODS`.
     nuisances : Nuisances, optional
         What is uncertain beside R: yaw, tilt, instrument noise, gradients of R over the scanned area, length scale,
         inflation of the noise.
@@ -243,11 +244,6 @@ def fit_options(
     if uncertain.instrument_noise_log_sd > 0.0 and instrument_noise == 0.0:
         raise InputError(
             "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²."
-        )
-    if uncertain.length_scale_log_sd > 0.0 and likelihood == "gaussian-plugin":
-        raise InputError(
-            "The likelihood 'gaussian-plugin' cannot be averaged over the length scale, because its reduced data "
-            "depend on the noise: use another likelihood."
         )
     return FitOptions(
         prior=chosen,
