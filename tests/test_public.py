@@ -35,8 +35,6 @@ PUBLIC = [
     "find_scan",
     "scan_criterion",
     "enough_beams",
-    "plot_trade_off",
-    "trade_off",
     "compare",
     "plot_comparison",
     "prior_sensitivity",

@@ -9,7 +9,7 @@ import click
 
 from bayes_rs._version import __version__
 from bayes_rs.cli.data_commands import calibrate, demo, plan, records, scans
-from bayes_rs.cli.design_commands import compare_command, optimize, trade_off_command
+from bayes_rs.cli.design_commands import compare_command, optimize
 from bayes_rs.cli.fit_commands import corner, fit, sensitivity
 from bayes_rs.cli.report_command import report
 from bayes_rs.cli.spectra_command import spectra
@@ -74,6 +74,5 @@ for command in (
     wind,
     compare_command,
     optimize,
-    trade_off_command,
 ):
     commands.add_command(command)
