@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from other_likelihoods import OTHER_LIKELIHOODS
 
 import bayes_rs as brs
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.likelihoods.log_normal import LIKELIHOODS, Likelihood, make_likelihood
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, Likelihood
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
 from bayes_rs.posteriors.sampling.pareto import pareto_k
@@ -40,6 +41,7 @@ SIMULATED_TOGETHER = 400
 ENOUGH = 0.25
 """A record whose effective share of draws is below this gets its proposal fitted again, up to three times."""
 REFERENCE = "log-normal"
+MAKERS = {**LIKELIHOODS, **OTHER_LIKELIHOODS}
 box_records = Path(__file__).resolve().parents[1] / "tests" / "data" / "box_records.parquet"
 
 
@@ -147,7 +149,7 @@ def prepared(name: str, scan: brs.Scan, covariance: np.ndarray, variance: np.nda
     """Make a likelihood that uses all beams."""
     gain = np.broadcast_to(brs.design_matrix(scan), (*variance.shape, 6))
     every = np.broadcast_to(covariance, (len(variance), *covariance.shape))
-    return make_likelihood(name, variance, np.ones_like(variance, dtype=bool), gain, every)
+    return MAKERS[name](variance, np.ones_like(variance, dtype=bool), gain, every)
 
 
 def cost(name: str, prior: Prior, scan: brs.Scan, covariance: np.ndarray, variance: np.ndarray) -> float:
@@ -208,10 +210,10 @@ def measure(n_record: int, priors: list[str]) -> pd.DataFrame:
                 variance = relative * brs.radial_variance(scan, truth)
                 found = {
                     likelihood: posteriors(likelihood, prior, scan, covariance, variance, truth)
-                    for likelihood in LIKELIHOODS
+                    for likelihood in MAKERS
                 }
                 table = pd.DataFrame(rows_of(found, truth))
-                micro = {key: cost(key, prior, scan, covariance, variance) for key in LIKELIHOODS}
+                micro = {key: cost(key, prior, scan, covariance, variance) for key in MAKERS}
                 table["microseconds"] = table["likelihood"].map(micro)
                 for column, value in (("records", len(relative)), ("prior", prior_name), ("source", source)):
                     table.insert(0, column, value)

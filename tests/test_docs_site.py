@@ -86,7 +86,7 @@ def test_the_field_guide_prints_what_compare_finds():
     """A width of 128 records is the same for the same seed; printed to a hundredth, contractions to a tenth."""
     text = (DOCS / "instruments.md").read_text()
     scans = ["staring", "4-beam", "6-beam", "50-beam"]
-    table = brs.compare(scans, FLOW, seed=1)
+    table = brs.compare(scans, seed=1)
     table = table[table["estimator"] == "posterior"].set_index(["scan", "stress"])
     for scan in scans:
         cells = next(line for line in text.splitlines() if line.startswith(f"| `{scan}` |")).split("|")[2:-1]

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from other_likelihoods import OTHER_LIKELIHOODS
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
@@ -11,14 +12,14 @@ from bayes_rs import InputError, Nuisances, WeakPrior, fit, fit_campaign, inflow
 from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.inflow import gradient_columns
-from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, make_likelihood, reduced_log_normal_likelihood
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS, REFERENCE_STRESS, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 
 NEUTRAL = [1.0, 0.5, 0.27, 0.0, -0.15, 0.0]
-LIKELIHOODS = ("log-normal", "gaussian", "gamma", "gaussian-plugin")
+MAKERS = {**LIKELIHOODS, **OTHER_LIKELIHOODS}
 
 
 def beam_factor(scan, lateral, vertical):
@@ -30,8 +31,7 @@ def beam_factor(scan, lateral, vertical):
 
 def build(name, scan, variance, place=None, gain=None, used=None, offset=0.0, **options):
     shape = (len(variance), scan.n_beam)
-    return make_likelihood(
-        name,
+    return MAKERS[name](
         variance,
         np.ones(shape, dtype=bool) if used is None else used,
         np.broadcast_to(design_matrix(scan), (*shape, 6)) if gain is None else gain,
@@ -201,7 +201,7 @@ class TestLikelihood:
         signal = radial_variance(self.scan, self.stress) * np.exp(self.gradient @ self.place.T)
         return (signal + offset) * np.exp(0.2 * np.random.default_rng(3).standard_normal(signal.shape))
 
-    @pytest.mark.parametrize("name", [name for name in LIKELIHOODS if name != "gaussian-plugin"])
+    @pytest.mark.parametrize("name", [name for name in MAKERS if name != "gaussian-plugin"])
     @pytest.mark.parametrize("dof", [np.inf, 7.0])
     def test_a_known_gradient_is_another_gain(self, name, dof):
         """No more beams than stresses: nothing is reduced, so the two have the same data."""
@@ -240,7 +240,7 @@ class TestLikelihood:
         fitted = np.sqrt(np.diag(np.linalg.inv(covariance)) / np.sum(likelihood.projection[0] ** 2, axis=0))
         assert np.abs(np.log(fitted / variance[0])).max() < 0.05
 
-    @pytest.mark.parametrize("name", LIKELIHOODS)
+    @pytest.mark.parametrize("name", MAKERS)
     @pytest.mark.parametrize("scan_name", ["6-beam", "50-beam"])
     def test_no_gradient_is_gradient_zero(self, name, scan_name):
         scan = load_scan(scan_name)
@@ -254,7 +254,7 @@ class TestLikelihood:
             rtol=1e-12,
         )
 
-    @pytest.mark.parametrize("name", LIKELIHOODS)
+    @pytest.mark.parametrize("name", MAKERS)
     def test_beams_that_a_record_does_not_use_have_no_part(self, name):
         variance, used = self.variance(), np.ones((7, 6), dtype=bool)
         used[:, 2] = False
@@ -268,7 +268,7 @@ class TestLikelihood:
             masked.log_density(tensors, None, gradient), smaller.log_density(tensors, None, gradient), rtol=1e-8
         )
 
-    @pytest.mark.parametrize("name", LIKELIHOODS)
+    @pytest.mark.parametrize("name", MAKERS)
     def test_some_of_the_records_and_a_mixture_keep_their_gradients(self, name):
         likelihood = build(name, self.scan, self.variance(), self.place)
         mixture = MixtureLikelihood((likelihood, likelihood), np.array([0.4, 0.6]))

@@ -1,15 +1,17 @@
 """The likelihood: against the textbook density, its reduction, and its refusals."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from scenes import draw_variances, plain_noise
+from other_likelihoods import OTHER_LIKELIHOODS, register
+from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import InputError, NotPositiveDefiniteError, load_scan
+from bayes_rs import InputError, NotPositiveDefiniteError, fit, load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import is_realizable
 from bayes_rs.likelihoods.log_normal import (
@@ -157,12 +159,40 @@ def test_draws_do_not_depend_on_those_beside_them(name, n_draw):
             np.testing.assert_allclose(alone[0], together[record, draws], rtol=1e-11)  # order of the sums
 
 
-def test_names_of_the_likelihoods():
-    """They are options of `fit` and stand in results."""
-    assert list(LIKELIHOODS) == ["log-normal", "gaussian-plugin", "gaussian", "gamma"]
+class TestRegistry:
+    """Names are options of `fit` and stand in results."""
+
+    def test_there_is_one(self):
+        assert list(LIKELIHOODS) == ["log-normal"]
+
+    def test_it_takes_one_of_your_own(self, stress, monkeypatch):
+        """Noise that is independent from beam to beam, by its name in a fit: another density, the right one."""
+        scan = load_scan("6-beam")
+        noise = plain_noise(scan)
+
+        def independent(variance, used, gain, covariance, offset=0.0, **options):
+            alone = covariance * np.eye(covariance.shape[-1])
+            return log_normal_likelihood(variance, used, gain, alone, offset, **options)
+
+        monkeypatch.setitem(LIKELIHOODS, "independent", independent)
+        variance = draw_variances(stress, scan, noise, np.random.default_rng(2))
+        records = records_of(variance, scan)
+        found = fit(records, scan, noise=noise, seed=1, sampler="direct", target_ess=100, likelihood="independent")
+        same = replace(noise, covariance=noise.covariance * np.eye(6))
+        expected = fit(records, scan, noise=same, seed=1, sampler="direct", target_ess=100)
+        np.testing.assert_array_equal(found["posterior/stress"], expected["posterior/stress"])
+
+    def test_unknown_name(self):
+        with pytest.raises(InputError, match=r"Unknown likelihood 'normal': it must be one of log-normal"):
+            make_likelihood("normal", *[np.ones((1, 2))] * 4)
+
+    def test_those_for_comparison_can_be_registered(self, monkeypatch):
+        monkeypatch.setattr("other_likelihoods.LIKELIHOODS", registry := dict(LIKELIHOODS))
+        register()
+        assert list(registry) == ["log-normal", *OTHER_LIKELIHOODS]
 
 
-@pytest.mark.parametrize("name", LIKELIHOODS)
+@pytest.mark.parametrize("name", [*LIKELIHOODS, *OTHER_LIKELIHOODS])
 def test_there_is_no_instrument_noise_unless_it_is_given(name, stress):
     scan = load_scan("6-beam")
     noise = plain_noise(scan)
@@ -173,8 +203,9 @@ def test_there_is_no_instrument_noise_unless_it_is_given(name, stress):
         np.broadcast_to(noise.covariance[0], (*shape, shape[1])),
     )
     tensors = np.broadcast_to(stress, (7, 7, 6))
+    maker = {**LIKELIHOODS, **OTHER_LIKELIHOODS}[name]
     found, none, some = (
-        make_likelihood(name, variance, np.ones(shape, dtype=bool), gain, covariance, *offset).log_density(tensors)
+        maker(variance, np.ones(shape, dtype=bool), gain, covariance, *offset).log_density(tensors)
         for offset in ((), (0.0,), (0.1,))
     )
     np.testing.assert_array_equal(found, none)
@@ -215,7 +246,7 @@ class TestTheChoice:
         assert [line for line in lines if line in costs] == costs
 
     def test_all_likelihoods_were_measured_on_enough_records(self, measured):
-        assert set(measured["likelihood"]) == set(LIKELIHOODS)
+        assert set(measured["likelihood"]) == {*LIKELIHOODS, *OTHER_LIKELIHOODS}
         lines = measured[measured["source"] == "lines"]
         assert lines["trusted"].min() >= 900
         assert measured.groupby(["scan", "prior", "source", "likelihood"]).ngroups == 4 * 2 * 2 * 4

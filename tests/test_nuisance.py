@@ -401,13 +401,6 @@ class TestRefusals:
         with pytest.raises(InputError, match="knows one length scale only"):
             fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(length_scale_log_sd=0.3))
 
-    def test_a_likelihood_whose_data_depend_on_the_noise_cannot_be_averaged(self):
-        scan, noise, stress, rng = scene("6-beam", 12, 2)
-        records = records_of(draw_variances(stress, scan, noise, rng), scan)
-        nuisances = Nuisances(length_scale_log_sd=0.3, length_scale=60.0)
-        with pytest.raises(InputError, match="'gaussian-plugin' cannot be averaged"):
-            fit(records, scan, noise=noise, seed=1, likelihood="gaussian-plugin", nuisances=nuisances)
-
     def test_uncertain_instrument_noise_needs_a_median(self):
         scan, noise, stress, rng = scene("6-beam", 11, 2)
         records = records_of(draw_variances(stress, scan, noise, rng), scan)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_emcee import register
 from scenes import draw_variances, plain_noise
 
 from bayes_rs import load_scan
@@ -14,6 +15,7 @@ from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS, sample
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
+from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.ensemble import RecordSampler
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
@@ -101,6 +103,14 @@ def test_posterior_under_the_flat_prior(name, sampler):
     check_sampler(sampler, build(load_scan(name), 3, prior, 3), prior, n_reference=600_000, target_ess=1000)
 
 
+@pytest.fixture
+def plain_emcee(monkeypatch):
+    """The samplers, and the one that serves for comparison only."""
+    monkeypatch.setitem(SAMPLERS, "emcee-plain", None)  # taken out afterwards
+    register()
+
+
+@pytest.mark.usefixtures("plain_emcee")
 @pytest.mark.parametrize("name", ["staring", "6-beam"])
 def test_plain_emcee_gives_the_posterior_too(name):
     prior = WeakPrior(log_sd_uu=0.5)
@@ -186,9 +196,21 @@ class TestProposal:
 
 
 def test_every_sampler_is_checked():
-    assert {*QUICK, "emcee-plain"} == set(SAMPLERS)
+    assert set(QUICK) == set(SAMPLERS)
 
 
+def test_the_registry_takes_a_sampler_of_your_own(monkeypatch):
+    def only_direct(posterior, **options):
+        return sample_direct(posterior, **options)
+
+    monkeypatch.setitem(SAMPLERS, "mine", only_direct)
+    prior = WeakPrior()
+    likelihood = build(load_scan("6-beam"), 2, prior, 8)
+    mine, direct = (draw(name, likelihood, prior, target_ess=100) for name in ("mine", "direct"))
+    np.testing.assert_array_equal(mine.stress, direct.stress)
+
+
+@pytest.mark.usefixtures("plain_emcee")
 def test_plain_emcee_repeats_itself():
     prior = WeakPrior()
     likelihood = build(load_scan("staring"), 1, prior, 8)

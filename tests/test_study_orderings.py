@@ -89,7 +89,7 @@ def test_several_planes_of_one_cone_do_not_help():
 
 def test_all_lidars_get_uu():
     """The 90 % interval of uu is about as wide for all: 128 drawn records have a standard error of 2 %."""
-    table = compare(["2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam"], FLOW, estimators=[])
+    table = compare(["2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam"], estimators=())
     widths = table[table["stress"] == "uu"]["width_90"]
     assert widths.max() / widths.min() < 1.12
     biases = table[table["stress"] == "uu"]["bias"] / table["truth"].iloc[0]

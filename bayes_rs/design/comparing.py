@@ -4,34 +4,36 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import FloatArray, check_choice, check_count, check_positive
-from bayes_rs.design.estimators import ESTIMATORS, estimate
-from bayes_rs.design.trial_records import even_normals, trial_records
+from bayes_rs._validation import FloatArray, check_positive
+from bayes_rs.design.compare_options import CompareOptions
+from bayes_rs.design.estimators import estimate
+from bayes_rs.design.scan_grid import DESIGN, design_of, named_scans
+from bayes_rs.design.trial_records import drawn_records, simulated_records
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fitting import fit
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
-from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.options import from_plain
+from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress
-from bayes_rs.records.making import make_records
-from bayes_rs.simulation.virtual import simulate
 from bayes_rs.theory.sonic_theory import sonic_moments
 from bayes_rs.turbulence.mann import MannTurbulence
 
-METHODS = ("fast", "full", "both")
-TARGETS = ("record", "ensemble")
 COLUMNS = (
     "scan",
+    *DESIGN,
     "turbulence",
     "prior",
     "data",
@@ -53,125 +55,118 @@ COLUMNS = (
     "full_over_fast",
     "rank",
     "sight",
-    "n_beam",
     "n_record",
     "seconds",
 )
+ENOUGH = 0.02
+"""More beams buy nothing where a width is within this of the width with the most beams."""
 
 
 def compare(
-    scans: Sequence[str | Scan],
-    turbulence: MannTurbulence | Sequence[MannTurbulence],
-    *,
-    wind_speed: float = 10.0,
-    duration: float = 600.0,
-    prior: str | Prior | Sequence[str | Prior] = "weak",
-    target: str = "record",
-    method: str = "fast",
-    n_records: int | None = None,
-    estimators: Sequence[str] | None = None,
-    seed: int = 1,
-    show_progress: bool | None = None,
+    scans: str | Path | Scan | Sequence[str | Path | Scan], *, show_progress: bool | None = None, **options: Any
 ) -> pd.DataFrame:
     """Compare scans by how well they would know the stresses of a turbulence.
 
     Parameters
     ----------
-    scans : sequence of str or Scan
+    scans : str or Path or Scan, or sequence of them
         Scans: names, files, scans, or a name with changes, such as
-        ``"6-beam@opening_angle_deg=30,focus_distance=52"``; several focus distances, joined by ``+``, make planes.
-    turbulence : MannTurbulence or sequence of MannTurbulence
-        The flows.
-    wind_speed : float
-        Mean wind speed, m/s.
-    duration : float
-        Length of a record, s.
-    prior : str or Prior or sequence of them
-        The priors.
-    target : str
-        Which R: ``"record"`` or ``"ensemble"``, as in `fit`.
-    method : str
-        ``"fast"``: the variances of records are drawn from the noise model, evenly (a Sobol sequence); their error is
-        log-normal by construction. ``"full"``: records are simulated (`simulate` by lines) and treated as measured
-        ones. ``"both"``.
-    n_records : int, optional
-        Records for each scene; by default 128 for fast and 200 for full.
-    estimators : sequence of str, optional
-        Classic estimators beside the posterior (`estimate`); by default all.
-    seed : int
-        Same seed, same numbers.
+        ``"6-beam@opening_angle_deg=30,focus_distance=52"``. Several values of a change, separated by ``/``, make
+        several scans, and of several changes all combinations: ``"6-beam@opening_angle_deg=15/30/45,n_beams=4/6"``.
+        Several focus distances joined by ``+`` are the planes of one scan.
     show_progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
+    **options
+        Fields of `CompareOptions`: ``turbulence``, ``prior``, ``wind_speed``, ``duration``, ``target``, ``method``,
+        ``n_records``, ``estimators`` and ``seed``.
 
     Returns
     -------
     table : DataFrame
-        One row for each scan, turbulence, prior, kind of data, estimator and stress, with the columns of `COLUMNS`:
-        expected widths of the central 50 and 90 % intervals, ``width_ratio`` (the 90 % width over the true uu), bias
-        and root mean square error of posterior mean and median (or of the classic estimate), shares of intervals that
-        hold the truth, contraction against the prior, the prior's own width, rank and unseen directions in words.
-        ``full_over_fast`` is the ratio of the 90 % widths where both were asked for. m² s⁻² where not relative.
+        One row for each scan, record length, turbulence, prior, kind of data, estimator and stress, with the columns of
+        `COLUMNS`: what the scan is (all beams, whether one points along the axis, largest opening angle and focus
+        distance, mounting), expected widths of the central 50 and 90 % intervals, ``width_ratio`` (the 90 % width over
+        the true uu), bias and root mean square error of posterior mean and median (or of the classic estimate), shares
+        of intervals that hold the truth, contraction against the prior, the prior's own width, rank and unseen
+        directions in words. ``full_over_fast`` is the ratio of the 90 % widths where both were asked for. m² s⁻² where
+        not relative.
 
     Raises
     ------
     InputError
-        If a scan, prior, estimator or number is not valid.
+        If a scan or an option is not valid.
 
     Notes
     -----
     The truth is the turbulence itself, so coverage is that at one R, not on average over the prior: a prior that is
-    off pulls it from nominal. Widths and errors are means over records.
+    off pulls it from nominal. Widths and errors are means over records. With ``method="fast"`` the errors of the
+    variances are log-normal by construction, and those that some R explains are the same for every scan.
 
     Examples
     --------
     >>> import bayes_rs as brs
-    >>> table = brs.compare(["6-beam", "6-beam@opening_angle_deg=45"], brs.load_turbulence("fu-2022"), n_records=16)
+    >>> table = brs.compare("6-beam@opening_angle_deg=15/45", n_records=16)
     >>> widths = table.query("estimator == 'posterior' and stress == 'vv'")["width_90"]
     >>> bool(widths.iloc[1] < widths.iloc[0])
     True
     """
-    check_choice(method, METHODS, what="method of comparison")
-    check_choice(target, TARGETS, what="target")
-    check_positive(wind_speed, what="wind_speed", unit="m/s")
-    if n_records is not None:
-        check_count(n_records, what="n_records", minimum=2)
-    names = tuple(ESTIMATORS) if estimators is None else tuple(estimators)
-    for name in names:
-        check_choice(name, tuple(ESTIMATORS), what="estimator")
-    loaded = [(scan.name, scan) if isinstance(scan, Scan) else (scan, load_scan(scan)) for scan in scans]
-    if not loaded:
-        raise InputError("There is no scan to compare: name at least one.")
-    flows = [turbulence] if isinstance(turbulence, MannTurbulence) else list(turbulence)
-    priors = [make_prior(one) for one in ([prior] if isinstance(prior, (str, Prior)) else prior)]
-    kinds = ("fast", "full") if method == "both" else (method,)
-    scenes = [(label, scan, flow) for label, scan in loaded for flow in flows]
+    chosen = from_plain(CompareOptions, options, where="the call of compare")
+    loaded, flows, priors = named_scans(scans), chosen.flows(), chosen.priors()
+    cells = list(product(loaded, chosen.durations, flows))
     rows: list[dict[str, Any]] = []
     silent = None if show_progress is None else not show_progress
-    for label, scan, flow in progress(scenes, len(scenes), "comparing", disable=silent):
-        noise = theory_noise(scan, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw)
-        truth = truth_of(scan, flow, wind_speed, duration, target)
-        seen = sight(scan)
-        about = {
-            "scan": label,
-            "turbulence": flow.name,
-            "rank": seen.rank,
-            "sight": seen.in_words(),
-            "n_beam": scan.n_beam,
-        }
-        for kind in kinds:
+    for (label, scan), duration, flow in progress(cells, len(cells), "comparing", disable=silent):
+        scene = _Scene.at(label, scan, flow, duration, chosen)
+        for kind in chosen.kinds:
             began = time.perf_counter()
-            count = n_records or (128 if kind == "fast" else 200)
-            if kind == "fast":
-                records = _drawn_records(scan, noise, truth, target, count, seed)
-            else:
-                records = _simulated_records(scan, flow, wind_speed, duration, count, seed)
-            rows += _classic(records, scan, truth, names, {**about, "data": kind, "n_record": count})
-            for one in priors:
-                rows += posterior_rows(
-                    records, scan, noise, one, target, truth, seed, {**about, "data": kind, "n_record": count}, began
-                )
-    table = pd.DataFrame(rows).reindex(columns=list(COLUMNS))
-    return _with_ratio(table)
+            records = scene.records(kind, chosen.count(kind), chosen.seed)
+            about = {**scene.about, "data": kind, "n_record": chosen.count(kind)}
+            rows += [{**about, **row} for row in _classic_rows(records, scene, chosen.classic)]
+            for prior in priors:
+                found = _posterior_rows(records, scene, prior, chosen.seed)
+                seconds = time.perf_counter() - began
+                rows += [{**about, **row, "seconds": seconds} for row in found]
+    return _with_ratio(pd.DataFrame(rows).reindex(columns=list(COLUMNS)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A scan in a flow: its noise, and the stresses that the fit aims at."""
+
+    scan: Scan
+    flow: MannTurbulence
+    noise: Noise
+    target: str
+    truth: FloatArray
+    about: dict[str, Any]
+
+    @classmethod
+    def at(cls, label: str, scan: Scan, flow: MannTurbulence, duration: float, chosen: CompareOptions) -> _Scene:
+        """Return the scene of one cell of the comparison."""
+        seen = sight(scan)
+        return cls(
+            scan,
+            flow,
+            theory_noise(scan, flow, wind_speed=chosen.wind_speed, duration=duration, yaw=scan.yaw),
+            chosen.target,
+            truth_of(scan, flow, chosen.wind_speed, duration, chosen.target),
+            {
+                "scan": label,
+                **design_of(scan),
+                "duration": duration,
+                "turbulence": flow.name,
+                "rank": seen.rank,
+                "sight": seen.in_words(),
+            },
+        )
+
+    def records(self, kind: str, count: int, seed: int) -> xr.Dataset:
+        """Return records of this kind."""
+        noise = self.noise
+        if kind == "full":
+            return simulated_records(self.scan, self.flow, float(noise.wind_speed[0]), noise.duration, count, seed)
+        mean = noise.gain[0] @ self.truth * (1.0 + (noise.bias[0] if self.target == "ensemble" else 0.0))
+        return drawn_records(self.scan, noise, mean, self.truth, count, seed)
 
 
 def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
@@ -183,114 +178,110 @@ def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: floa
     return np.asarray(moments.mean, dtype=np.float64)
 
 
-def _drawn_records(scan: Scan, noise: Noise, truth: FloatArray, target: str, count: int, seed: int) -> xr.Dataset:
-    """Return records whose variances are log-normal with the noise's moments, drawn evenly."""
-    log_covariance = np.log1p(noise.covariance[0])
-    values, vectors = np.linalg.eigh(log_covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))  # eigenvalues below zero are rounding
-    # the largest directions take the first, best coordinates of the sequence
-    normal = even_normals(count, scan.n_beam, seed)[:, ::-1]
-    mean = noise.gain[0] @ truth * (1.0 + (noise.bias[0] if target == "ensemble" else 0.0))
-    variance = mean * np.exp(normal @ root.T - 0.5 * np.diag(log_covariance))
-    return trial_records(scan, noise, variance)
-
-
-def _simulated_records(
-    scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, count: int, seed: int
-) -> xr.Dataset:
-    """Return records of simulated radial velocities; their wind is the one that was simulated."""
-    series = simulate(scan, flow, wind_speed=wind_speed, duration=duration, n_records=count, seed=seed)
-    records = make_records(series, scan, duration=duration).isel(record=slice(0, count))
-    records["wind_speed"] = ("record", np.full(count, wind_speed))
-    records["yaw"] = ("record", np.full(count, np.rad2deg(scan.yaw)))
-    return records
-
-
-def posterior_rows(
-    records: xr.Dataset,
-    scan: Scan,
-    noise: Noise,
-    prior: Prior,
-    target: str,
-    truth: FloatArray,
-    seed: int,
-    about: dict[str, Any],
-    began: float,
-) -> list[dict[str, Any]]:
+def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int) -> list[dict[str, Any]]:
     """Fit the records, and measure the posterior against the truth."""
+    truth = scene.truth
     found = fit(
         records,
-        scan,
-        noise=noise,
-        seed=seed,
+        scene.scan,
+        noise=scene.noise,
         prior=prior,
-        target=target,
+        target=scene.target,
         sampler="auto",
+        seed=seed,
         draws="float64",
         progress=False,
     )
-    stress, of_prior = found.draws(), found.prior_draws
-    flat = stress.reshape(len(stress), -1, len(STRESSES))
-    levels = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
-    low90, low50, median, high50, high90 = np.quantile(flat, levels, axis=1)
+    flat, of_prior = found.draws().reshape(found.n_record, -1, len(STRESSES)), found.prior_draws
+    low90, low50, median, high50, high90 = np.quantile(flat, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1)
     mean = flat.mean(axis=1)
     shape, prior_shape = (draws / draws[..., :3].sum(axis=-1, keepdims=True) for draws in (flat, of_prior))
-    ends = np.quantile(of_prior, levels[[0, -1]], axis=0)
-    seconds = time.perf_counter() - began
-    return [
-        {
-            **about,
-            "prior": prior.name,
-            "estimator": "posterior",
-            "stress": name,
-            "truth": truth[i],
-            "width_50": np.mean(high50[:, i] - low50[:, i]),
-            "width_90": np.mean(high90[:, i] - low90[:, i]),
-            "width_ratio": np.mean(high90[:, i] - low90[:, i]) / truth[0],
-            "bias": np.mean(mean[:, i] - truth[i]),
-            "rmse": np.sqrt(np.mean((mean[:, i] - truth[i]) ** 2)),
-            "bias_median": np.mean(median[:, i] - truth[i]),
-            "rmse_median": np.sqrt(np.mean((median[:, i] - truth[i]) ** 2)),
-            "coverage_50": np.mean((low50[:, i] <= truth[i]) & (truth[i] <= high50[:, i])),
-            "coverage_90": np.mean((low90[:, i] <= truth[i]) & (truth[i] <= high90[:, i])),
-            "contraction": np.mean(1.0 - flat[..., i].var(axis=1) / of_prior[:, i].var()),
-            "contraction_shape": np.mean(1.0 - shape[..., i].var(axis=1) / prior_shape[:, i].var()),
-            "prior_width_90": ends[1, i] - ends[0, i],
-            "seconds": seconds,
-        }
-        for i, name in enumerate(STRESSES)
-    ]
+    ends = np.quantile(of_prior, [0.05, 0.95], axis=0)
+    measured = {
+        "truth": truth,
+        "width_50": np.mean(high50 - low50, axis=0),
+        "width_90": np.mean(high90 - low90, axis=0),
+        "width_ratio": np.mean(high90 - low90, axis=0) / truth[0],
+        "bias": np.mean(mean - truth, axis=0),
+        "rmse": np.sqrt(np.mean((mean - truth) ** 2, axis=0)),
+        "bias_median": np.mean(median - truth, axis=0),
+        "rmse_median": np.sqrt(np.mean((median - truth) ** 2, axis=0)),
+        "coverage_50": np.mean((low50 <= truth) & (truth <= high50), axis=0),
+        "coverage_90": np.mean((low90 <= truth) & (truth <= high90), axis=0),
+        "contraction": np.mean(1.0 - flat.var(axis=1) / of_prior.var(axis=0), axis=0),
+        "contraction_shape": np.mean(1.0 - shape.var(axis=1) / prior_shape.var(axis=0), axis=0),
+        "prior_width_90": ends[1] - ends[0],
+    }
+    of_stress = (dict(zip(measured, values, strict=True)) for values in zip(*measured.values(), strict=True))
+    about = {"prior": prior.name, "estimator": "posterior"}
+    return [{**about, "stress": name, **values} for name, values in zip(STRESSES, of_stress, strict=True)]
 
 
-def _classic(
-    records: xr.Dataset, scan: Scan, truth: FloatArray, names: Sequence[str], about: dict[str, Any]
-) -> list[dict[str, Any]]:
+def _classic_rows(records: xr.Dataset, scene: _Scene, names: Sequence[str]) -> list[dict[str, Any]]:
     """Measure the classic estimators on the same records; stresses that one does not give are left out."""
     rows = []
     for name in names:
-        values = estimate(records, scan, method=name)["stress"].transpose("record", "component").values
-        for i, stress in enumerate(STRESSES):
-            error = values[:, i] - truth[i]
+        values = estimate(records, scene.scan, method=name)["stress"].transpose("record", "component").values
+        for stress, found, truth in zip(STRESSES, values.T, scene.truth, strict=True):
+            error = found - truth
             if np.isfinite(error).any():
-                rows.append(
-                    {
-                        **about,
-                        "prior": "",
-                        "estimator": name,
-                        "stress": stress,
-                        "truth": truth[i],
-                        "bias": np.nanmean(error),
-                        "rmse": np.sqrt(np.nanmean(error**2)),
-                    }
-                )
+                measured = {"bias": np.nanmean(error), "rmse": np.sqrt(np.nanmean(error**2))}
+                rows.append({"prior": "", "estimator": name, "stress": stress, "truth": truth, **measured})
     return rows
 
 
 def _with_ratio(table: pd.DataFrame) -> pd.DataFrame:
     """Fill the ratio of full to fast widths, where there are both."""
-    keys = ["scan", "turbulence", "prior", "estimator", "stress"]
+    keys = ["scan", "duration", "turbulence", "prior", "estimator", "stress"]
     wide = table.pivot_table(index=keys, columns="data", values="width_90", sort=False)
     if {"fast", "full"} <= set(wide.columns):
         ratio = (wide["full"] / wide["fast"]).rename("full_over_fast").reset_index()
         table = table.drop(columns="full_over_fast").merge(ratio, on=keys, how="left")[list(COLUMNS)]
     return table
+
+
+def enough_beams(table: pd.DataFrame, *, within: float = ENOUGH) -> pd.DataFrame:
+    """Find the number of beams beyond which more of them buy nothing.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `compare`, for scans that differ in their number of beams.
+    within : float
+        How much wider than with the most beams an interval may be, relatively.
+
+    Returns
+    -------
+    found : DataFrame
+        A row for each stress of scans that are alike but for the number of beams, with what they have in common:
+        ``enough``, the smallest number of beams from which on all 90 % widths are within `within` of the last, and
+        ``most``, the largest number.
+
+    Raises
+    ------
+    InputError
+        If no two scans of the table differ in the number of beams only.
+
+    Examples
+    --------
+    >>> table = compare("6-beam@n_beams=4/6/20", n_records=16, estimators=())
+    >>> enough_beams(table).query("stress == 'uu'")[["enough", "most"]].values.tolist()
+    [[4, 20]]
+    """
+    check_positive(within, what="within", unit="")
+    keys = [*(name for name in DESIGN if name != "n_beam"), "turbulence", "prior", "data", "stress"]
+    rows: list[dict[str, Any]] = []
+    for case, some in table[table["estimator"] == "posterior"].groupby(keys, sort=False):
+        ordered = some.sort_values("n_beam")
+        width, number = ordered["width_90"].to_numpy(), ordered["n_beam"].to_numpy()
+        if len(number) < 2 or len(set(number)) < len(number):
+            continue
+        wide = np.flatnonzero(width > (1.0 + within) * width[-1])
+        first = 0 if len(wide) == 0 else int(wide[-1]) + 1
+        rows.append({**dict(zip(keys, case, strict=True)), "enough": int(number[first]), "most": int(number[-1])})
+    if not rows:
+        raise InputError(
+            "No scans of the table differ in their number of beams only: compare several numbers, as "
+            "6-beam@n_beams=4/6/8."
+        )
+    return pd.DataFrame(rows)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_rs._version import __version__
 from bayes_rs.design.optimizing import ScanOptimum, optimize_scan
-from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.output import check_output_folder, output_folder, write_run
 
@@ -23,35 +22,33 @@ _MOST_MARKED = 30  # beams that get their number in the picture
 
 
 def run_optimize(
+    n_beams: int | Sequence[int],
     output: str | Path,
     *,
+    options: Mapping[str, Any],
+    n_starts: int = 24,
+    seed: int = 1,
     overwrite: bool = False,
-    blocked: Sequence[str] = (),
-    probe_of: str | None = None,
-    say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
-    **options: Any,
-) -> ScanOptimum:
+) -> tuple[ScanOptimum, list[str]]:
     """Choose the beams of a scan, and write it with the numbers of the search and a picture.
 
     Parameters
     ----------
+    n_beams, n_starts, seed
+        As for `optimize_scan`.
     output : str or Path
         Folder to make: ``scan.toml``, ``optimum.json``, ``beams.png`` and ``run.json``.
+    options : mapping
+        Fields of `ScanLimits` and `CriterionOptions`.
     overwrite : bool
         Replace the folder of an earlier run.
-    blocked : sequence of str
-        Blocked ranges of θ as ``"FROM:TO"``, degrees.
-    probe_of : str, optional
-        A scan whose probe volume the beams have.
-    say : callable
-        Takes the lines of the summary.
-    **options
-        As for `optimize_scan`.
 
     Returns
     -------
     best : ScanOptimum
         The best scan.
+    words : list of str
+        Lines to print.
 
     Raises
     ------
@@ -59,8 +56,7 @@ def run_optimize(
         If the folder exists, or an option is not valid.
     """
     check_output_folder(output, overwrite=overwrite)
-    probe = None if probe_of is None else load_scan(probe_of).probe
-    best = optimize_scan(blocked_deg=[_range(text) for text in blocked], probe=probe, **options)
+    best = optimize_scan(n_beams, n_starts=n_starts, seed=seed, **options)
     lines = summary_lines(best)
     with output_folder(output, overwrite=overwrite) as folder:
         save_scan(best.scan, folder / "scan.toml")
@@ -69,9 +65,7 @@ def run_optimize(
         (folder / "optimum.json").write_text(text + "\n", encoding="utf-8")
         plot_optimum(best).savefig(folder / "beams.png", dpi=130)
         write_run(folder, {"bayes_rs": __version__, "command": "optimize", "asked_for": _plain(best.details)})
-    for line in lines:
-        say(line)
-    return best
+    return best, lines
 
 
 def summary_lines(best: ScanOptimum) -> list[str]:
@@ -89,7 +83,7 @@ def summary_lines(best: ScanOptimum) -> list[str]:
 
     Examples
     --------
-    >>> best = optimize_scan(n_beams=6, max_angle_deg=45.0, criterion="trace", n_starts=2)
+    >>> best = optimize_scan(6, max_angle_deg=45.0, criterion="trace", n_starts=2)
     >>> summary_lines(best)[0]
     'trace: total variance of the nine elements of R by least squares, for equal and independent noise of the beams, over the variance of that noise'
     """  # noqa: E501 - what is printed is one line
@@ -112,8 +106,7 @@ def summary_lines(best: ScanOptimum) -> list[str]:
         f"{best.n_agree} of {len(best.starts)} starts reached the best value to 0.1 %; the median start is "
         f"{100.0 * best.spread:.2g} % above it, the worst {100.0 * (best.starts[-1] / best.starts[0] - 1.0):.2g} %"
     )
-    exact = f" and {best.n_exact} exact ones" if best.n_exact else ""
-    lines.append(f"{best.n_evaluations} evaluations of the search{exact} in {best.seconds:.1f} s")
+    lines.append(f"{best.n_evaluations} evaluations in {best.seconds:.1f} s")
     return lines
 
 
@@ -131,54 +124,53 @@ def plot_optimum(best: ScanOptimum) -> Figure:
         Left: where the beams cross the plane at the largest focus distance, with rings of equal opening angle and the
         limit; blocked sectors are shaded. Right: the criterion of each start, increasing, and of the well-known scans.
     """
-    figure = Figure(figsize=(10.0, 4.6))
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
+    _draw_beams(left, best)
+    _draw_starts(right, best)
+    return figure
+
+
+def _draw_beams(panel: Axes, best: ScanOptimum) -> None:
     angles = np.deg2rad(best.angles_deg)
-    limit = np.deg2rad(float(best.details["max_angle_deg"]))
+    limit = float(best.details["largest_angle_deg"])
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     for ring in np.linspace(limit / 3.0, limit, 3):
-        edge = {"color": "0.3", "linewidth": 1.2} if ring == limit else {"color": "0.75", "linewidth": 0.8}
-        left.plot(np.rad2deg(ring) * np.cos(turn), np.rad2deg(ring) * np.sin(turn), **edge)
-        left.annotate(
-            f"{np.rad2deg(ring):.3g}°", (0.0, -np.rad2deg(ring)), color="0.4", fontsize=8, ha="center", va="bottom"
+        edge: dict[str, Any] = (
+            {"color": "0.3", "linewidth": 1.2} if ring == limit else {"color": "0.75", "linewidth": 0.8}
         )
+        panel.plot(ring * np.cos(turn), ring * np.sin(turn), **edge)
+        panel.annotate(f"{ring:.3g}°", (0.0, -ring), color="0.4", fontsize=8, ha="center", va="bottom")
     for start, end in best.details["blocked_deg"]:
         sector = np.deg2rad(start + np.mod(end - start, 360.0) * np.linspace(0.0, 1.0, 91))
-        across = np.rad2deg(limit) * np.stack([np.cos(sector), np.sin(sector)])
-        left.fill(np.append(across[0], 0.0), np.append(across[1], 0.0), color="0.88", linewidth=0.0)
+        edges = limit * np.stack([np.cos(sector), np.sin(sector)])
+        panel.fill(np.append(edges[0], 0.0), np.append(edges[1], 0.0), color="0.88", linewidth=0.0)
     across = np.rad2deg(angles[:, 0]) * np.stack([np.cos(angles[:, 1]), np.sin(angles[:, 1])])
-    left.plot(*across, "o", color=BEAM_COLOUR, markersize=8, clip_on=False, zorder=3)
+    panel.plot(*across, "o", color=BEAM_COLOUR, markersize=8, clip_on=False, zorder=3)
     for number, (side, up) in enumerate(across.T[:_MOST_MARKED].tolist()):
-        left.annotate(str(number), (side, up), xytext=(6, 6), textcoords="offset points", fontsize=9)
-    left.set_aspect("equal")
-    across_names = ("y", "z") if best.details["axis"] == "upwind" else ("x", "y")
-    left.set_xlabel(f"opening angle towards {across_names[0]}, degrees")
-    left.set_ylabel(f"opening angle towards {across_names[1]}, degrees")
-    left.set_title(f"{len(angles)} beams, numbered in the order of the scan")
-    right.plot(np.arange(1, len(best.starts) + 1), best.starts, "o-", color=BEAM_COLOUR, label="starts of the search")
+        panel.annotate(str(number), (side, up), xytext=(6, 6), textcoords="offset points", fontsize=9)
+    panel.set_aspect("equal")
+    names = ("y", "z") if best.details["axis"] == "upwind" else ("x", "y")
+    panel.set_xlabel(f"opening angle towards {names[0]}, degrees")
+    panel.set_ylabel(f"opening angle towards {names[1]}, degrees")
+    panel.set_title(f"{len(angles)} beams, numbered in the order of the scan")
+
+
+def _draw_starts(panel: Axes, best: ScanOptimum) -> None:
+    panel.plot(np.arange(1, len(best.starts) + 1), best.starts, "o-", color=BEAM_COLOUR, label="starts of the search")
     ceiling = 1.5 * max(best.starts[-1], best.value)
     for index, (name, value) in enumerate(best.references.items()):
         if value <= ceiling:
             style = (":", "--", "-.", (0, (1, 3)))[index % 4]
-            right.axhline(value, color=OTHER_COLOUR, linestyle=style, linewidth=1.2, label=name)
-    right.axhline(best.value, color="0.2", linewidth=1.0, label="the best scan, exact")
-    right.set_xlabel("start, from best to worst")
-    right.set_ylabel(f"criterion {best.criterion!r} (less is better)")
-    low, high = right.get_ylim()
+            panel.axhline(value, color=OTHER_COLOUR, linestyle=style, linewidth=1.2, label=name)
+    panel.axhline(best.value, color="0.2", linewidth=1.0, label="the best scan")
+    panel.set_xlabel("start, from best to worst")
+    panel.set_ylabel(f"criterion {best.criterion!r} (less is better)")
+    low, high = panel.get_ylim()
     if high - low < 1e-3 * abs(best.value):  # starts that agree to rounding must not look like a slope
-        right.set_ylim(best.value - 5e-3 * abs(best.value), best.value + 5e-3 * abs(best.value))
-    right.ticklabel_format(axis="y", useOffset=False)
-    right.legend(fontsize=8, frameon=False)
-    figure.set_layout_engine("constrained")
-    return figure
-
-
-def _range(text: str) -> tuple[float, float]:
-    try:
-        start, end = (float(part) for part in text.split(":"))
-    except ValueError as error:
-        raise InputError(f"Invalid blocked range {text!r}: write it as FROM:TO in degrees, such as 200:340.") from error
-    return start, end
+        panel.set_ylim(best.value - 5e-3 * abs(best.value), best.value + 5e-3 * abs(best.value))
+    panel.ticklabel_format(axis="y", useOffset=False)
+    panel.legend(fontsize=8, frameon=False)
 
 
 def _plain(value: Any) -> Any:

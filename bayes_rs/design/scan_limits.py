@@ -1,287 +1,179 @@
-"""Where the beams of a scan may point: limits, and the variables that a search moves within them."""
+"""Limits of the scans that `optimize_scan` searches: the keywords of the function, and those of the command."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_array, check_finite, check_positive
+from bayes_rs._validation import (
+    FloatArray,
+    check_array,
+    check_choice,
+    check_count,
+    check_finite,
+    check_non_negative,
+    check_positive,
+)
+from bayes_rs.design.beam_space import BeamSpace, free_arcs
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import tilt_matrix
-from bayes_rs.geometry.scan_file import cone_direction
+from bayes_rs.geometry.probe import PointProbe, Probe
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_probe
+from bayes_rs.options import described, option
 
-FEASIBLE = 1e-7
-"""A direction counts as inside the limits if it misses them by no more than this, rad."""
-_ATTEMPTS, _MOST_ATTEMPTS = 40, 400  # to find any scan within the limits, and to find enough
+AXES = ("upwind", "up")
+PLANES = ("simultaneous", "sequential")
 
 
+@described
 @dataclass(frozen=True, kw_only=True)
 class ScanLimits:
-    """Where beams may point.
+    """What a scan may be: where its beams may point, and when and where they measure.
 
-    Parameters
-    ----------
-    n_beams : int
-        Number of beams.
-    max_angle : float
-        Largest opening angle φ from the axis, rad.
-    cones : int or None
-        Number of opening angles that the beams off the axis share; None for one of its own for each beam.
-    centre : bool
-        One beam is along the axis, and the last.
-    arcs : tuple of (float, float)
-        Ranges of θ that are free, rad, each from lower to upper; empty for all of the circle.
-    min_elevation : float or None
-        Least angle of a beam above the horizontal, rad.
-    min_spread : float
-        Least angle between the two beams that are farthest apart, rad.
-    upward : bool
-        The axis is z; if not, −x.
-    tilt : float
-        Tilt of the instrument, rad.
+    Raises
+    ------
+    InputError
+        If a value is not valid, or neither ``max_angle_deg`` nor ``rotor_radius`` is given.
     """
 
-    n_beams: int
-    max_angle: float
-    cones: int | None = None
-    centre: bool = False
-    arcs: tuple[tuple[float, float], ...] = ()
-    min_elevation: float | None = None
-    min_spread: float = 0.0
-    upward: bool = False
-    tilt: float = 0.0
+    max_angle_deg: float | None = option(
+        None, "Largest opening angle from the instrument's axis", unit="degrees", flag="--max-angle"
+    )
+    rotor_radius: float | None = option(
+        None, "Largest distance of a measured point from the axis; this or the largest angle must be given", unit="m"
+    )
+    focus_distance: float | tuple[float, ...] = option(
+        98.0, "Focus distance; at several, all beams measure at each", unit="m"
+    )
+    cones: int | None = option(
+        None, "How many opening angles the beams off the axis share; each has its own if not given"
+    )
+    centre: bool | None = option(
+        None, "Whether one beam points along the axis; if not given, both are tried where cones are shared"
+    )
+    blocked_deg: Sequence[Sequence[float]] = option(
+        (),
+        "Ranges of θ, from y towards z, in which no beam may point; 350 to 10 goes through 0",
+        unit="degrees",
+        flag="--blocked",
+        metavar="FROM:TO",
+    )
+    min_elevation_deg: float | None = option(
+        None, "Least angle of every beam above the horizontal", unit="degrees", flag="--min-elevation"
+    )
+    min_spread_deg: float = option(
+        0.0, "Least angle between the two beams that are farthest apart", unit="degrees", flag="--min-spread"
+    )
+    axis: str = option("upwind", "Axis of the lidar: upwind on a nacelle, up on the ground", choices=AXES)
+    tilt_deg: float = option(
+        0.0, "Tilt of the lidar; a positive one raises the beams that point upwind", unit="degrees", flag="--tilt"
+    )
+    planes: str = option("simultaneous", "How several focus distances are measured", choices=PLANES)
+    scan_duration: float = option(1.0, "Time for all beams and planes once, which they share equally", unit="s")
+    dwell: float | None = option(
+        None, "Time for one beam, in place of the scan duration: with more beams each is visited less often", unit="s"
+    )
+    probe: str | Probe = option(
+        "point", "Probe volume of the beams: point, or a scan whose probe volume they have", metavar="SCAN"
+    )
+
+    def __post_init__(self) -> None:
+        check_choice(self.axis, AXES, what="axis")
+        check_choice(self.planes, PLANES, what="planes")
+        for distance in self.distances.tolist():
+            check_positive(distance, what="focus_distance", unit="m")
+        if self.max_angle_deg is not None:
+            angle = check_finite(self.max_angle_deg, what="max_angle_deg", unit="degrees")
+            if not 0.0 < angle <= 90.0:
+                raise InputError(f"Invalid max_angle_deg {angle!r}: it must be above 0 and at most 90 degrees.")
+        if self.rotor_radius is not None:
+            check_positive(self.rotor_radius, what="rotor_radius", unit="m")
+        elif self.max_angle_deg is None:
+            raise InputError(
+                "The beams have no limit: give max_angle_deg, the largest opening angle, or rotor_radius, m."
+            )
+        if self.cones is not None:
+            check_count(self.cones, what="cones")
+        if self.min_elevation_deg is not None:
+            check_finite(self.min_elevation_deg, what="min_elevation_deg", unit="degrees")
+        check_non_negative(self.min_spread_deg, what="min_spread_deg", unit="degrees")
+        check_finite(self.tilt_deg, what="tilt_deg", unit="degrees")
+        check_positive(self.scan_duration, what="scan_duration", unit="s")
+        if self.dwell is not None:
+            check_positive(self.dwell, what="dwell", unit="s")
+        free_arcs(self.blocked_deg)
 
     @property
-    def n_moving(self) -> int:
-        """Number of beams that are not the centre beam."""
-        return self.n_beams - self.centre
+    def distances(self) -> FloatArray:
+        """The focus distances, m, shape (n_plane,)."""
+        return check_array(
+            np.atleast_1d(np.asarray(self.focus_distance, dtype=np.float64)), (None,), what="focus_distance"
+        )
 
     @property
-    def n_angle(self) -> int:
-        """Number of opening angles that may vary."""
-        return self.n_moving if self.cones is None else self.cones
+    def max_angle(self) -> float:
+        """The largest opening angle, rad, that cone and rotor disc allow at the largest focus distance."""
+        limits = [] if self.max_angle_deg is None else [float(np.deg2rad(self.max_angle_deg))]
+        if self.rotor_radius is not None:
+            limits.append(float(np.arcsin(min(self.rotor_radius / float(np.max(self.distances)), 1.0))))
+        return min(limits)
 
-    @property
-    def n_variable(self) -> int:
-        """Number of variables: opening angles, then θ of each moving beam."""
-        return self.n_angle + self.n_moving
-
-    def directions(self, variables: FloatArray, cone: NDArray[np.int64]) -> FloatArray:
-        """Return beam vectors (..., n_beams, 3) in the instrument's frame; `cone` says which φ each beam has."""
-        opening, phase = variables[..., cone], variables[..., self.n_angle : self.n_variable]
-        if self.centre:
-            nothing = np.zeros((*opening.shape[:-1], 1))
-            opening, phase = np.concatenate([opening, nothing], axis=-1), np.concatenate([phase, nothing], axis=-1)
-        ahead = cone_direction(opening, phase)
-        if not self.upward:
-            return ahead
-        return np.stack([ahead[..., 1], ahead[..., 2], -ahead[..., 0]], axis=-1)
-
-    def elevation_margin(self, direction: FloatArray) -> FloatArray:
-        """Return by how much each beam's vertical part exceeds the least, shape (..., n_beams)."""
-        least = -1.0 if self.min_elevation is None else np.sin(self.min_elevation)
-        return np.asarray((direction @ tilt_matrix(self.tilt))[..., 2] - least)
-
-    def bounds(self, start: FloatArray) -> list[tuple[float, float]]:
-        """Return lower and upper bounds of the variables; a beam stays in the free sector in which it starts.
-
-        Where all of the circle is free, φ may pass through zero, since φ < 0 is the beam at θ + π.
-        """
-        least = 0.0 if self.arcs else -self.max_angle
-        angles = [(least, self.max_angle)] * self.n_angle
-        if not self.arcs:
-            return angles + [(-np.inf, np.inf)] * self.n_moving
-        phases = start[self.n_angle : self.n_variable]
-        return angles + [next(arc for arc in self.arcs if arc[0] <= phase <= arc[1]) for phase in phases.tolist()]
-
-    def draw(self, rng: np.random.Generator, n_draw: int) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Draw directions within the limits: variables (n_draw, n_variable), cones of the beams (n_draw, n_moving).
+    def spaces(self, n_beams: int) -> list[BeamSpace]:
+        """Return the kinds of scans to search: with and without a beam along the axis where both are to be tried.
 
         Raises
         ------
         InputError
-            If none is found.
+            If so many beams have no room within the limits.
         """
-        found: list[FloatArray] = []
-        cones: list[NDArray[np.int64]] = []
-        lengths = np.array([upper - lower for lower, upper in self.arcs or ((0.0, 2.0 * np.pi),)])
-        lowers = np.array([lower for lower, _ in self.arcs or ((0.0, 0.0),)])
-        for attempt in range(_MOST_ATTEMPTS):
-            if attempt == _ATTEMPTS and not found:
-                break
-            # even over the cap: the solid angle between 0 and φ grows with sin²(φ/2)
-            cap = np.sin(0.5 * self.max_angle) ** 2
-            angle = 2.0 * np.arcsin(np.sqrt(cap * rng.random((n_draw, self.n_angle))))
-            place = rng.random((n_draw, self.n_moving)) * lengths.sum()
-            arc = np.minimum(np.searchsorted(np.cumsum(lengths), place), len(lengths) - 1)
-            phase = lowers[arc] + place - (np.cumsum(lengths) - lengths)[arc]
-            if self.cones is None:
-                cone = np.broadcast_to(np.arange(self.n_moving), phase.shape)
-            else:
-                cone = rng.permuted(np.broadcast_to(np.arange(self.n_moving) % self.cones, phase.shape), axis=1)
-            if self.min_spread > 0.0 and self.n_moving > 1:
-                phase, angle = self._spread(rng, angle, phase, cone)
-            if self.min_elevation is not None:
-                phase, angle = self._raised(rng, angle, phase, cone)
-            order = np.argsort(phase, axis=1)  # beams go round; other orders are the same beams at other times
-            phase = np.take_along_axis(phase, order, axis=1)
-            if self.cones is None:
-                angle = np.take_along_axis(angle, order, axis=1)
-            else:
-                cone = np.take_along_axis(cone, order, axis=1)
-            variables = np.concatenate([angle, phase], axis=1)
-            inside = np.array(
-                [self.feasible(self.directions(row, own), row, own) for row, own in zip(variables, cone, strict=True)]
+        space = BeamSpace(
+            n_beams=n_beams,
+            max_angle=self.max_angle,
+            arcs=free_arcs(self.blocked_deg),
+            min_elevation=None if self.min_elevation_deg is None else float(np.deg2rad(self.min_elevation_deg)),
+            min_spread=float(np.deg2rad(self.min_spread_deg)),
+            upward=self.axis == "up",
+            tilt=float(np.deg2rad(self.tilt_deg)),
+        )
+        if space.min_spread > 2.0 * space.max_angle or (space.min_spread > 0.0 and n_beams == 1):
+            raise InputError(
+                f"Invalid min_spread_deg {self.min_spread_deg!r}: {n_beams} beams that are no more than "
+                f"{np.rad2deg(space.max_angle):.4g} degrees off the axis cannot be so far apart; give a smaller one."
             )
-            found += list(variables[inside])
-            cones += list(cone[inside])
-            if len(found) >= n_draw:
-                return np.array(found[:n_draw]), np.array(cones[:n_draw])
-        raise InputError(
-            f"Found {len(found)} scans within the limits in {(attempt + 1) * n_draw} draws, and {n_draw} are needed: "
-            "they leave hardly any room; allow a larger angle, a lower elevation, a smaller spread or smaller blocked "
-            "sectors."
-        )
+        if self.cones is not None and self.cones > n_beams:
+            raise InputError(f"Invalid cones {self.cones}: there are {n_beams} beams; give at most as many cones.")
+        held = [self.centre] if self.centre is not None else [False] if self.cones is None else [True, False]
+        least = 1 if self.cones is None else self.cones
+        spaces = [replace(space, cones=self.cones, centre=bool(one)) for one in held if n_beams - bool(one) >= least]
+        if not spaces:
+            raise InputError(
+                f"Invalid cones {self.cones}: with a beam along the axis, {n_beams - 1} beams are left; give fewer "
+                "cones."
+            )
+        return spaces
 
-    def _spread(
-        self, rng: np.random.Generator, angle: FloatArray, phase: FloatArray, cone: NDArray[np.int64]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Move two beams of each scan far enough apart: wide enough, and, where all of the circle is free, opposite."""
-        phase, angle = phase.copy(), angle.copy()
-        row = np.arange(len(phase))
-        pair = np.argsort(rng.random(phase.shape), axis=1)[:, :2]
-        opening = rng.uniform(0.5 * self.min_spread, self.max_angle, len(phase))
-        for beam in pair.T:
-            angle[row, cone[row, beam]] = opening
-        if not self.arcs:
-            phase[row, pair[:, 1]] = np.mod(phase[row, pair[:, 0]] + np.pi, 2.0 * np.pi)
-        return phase, angle
+    def duration(self, n_beams: int) -> float:
+        """Return the time for all beams and planes once, s."""
+        if self.dwell is None:
+            return float(self.scan_duration)
+        return n_beams * (len(self.distances) if self.planes == "sequential" else 1) * self.dwell
 
-    def _raised(
-        self, rng: np.random.Generator, angle: FloatArray, phase: FloatArray, cone: NDArray[np.int64]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Draw again, beam by beam, what is too low; what stays too low is left to the check."""
-        phase, angle = phase.copy(), angle.copy()
-        bare = ScanLimits(n_beams=self.n_moving, max_angle=self.max_angle, arcs=self.arcs, upward=self.upward)
-        free = np.arange(self.n_moving)
-        for _ in range(50):
-            opening = np.take_along_axis(angle, cone, axis=1)
-            direction = bare.directions(np.concatenate([opening, phase], axis=1), free)
-            low = self.elevation_margin(direction) < 0.0
-            if not low.any():
-                break
-            if not self.arcs:
-                phase[low] = 2.0 * np.pi * rng.random(int(low.sum()))
-            else:
-                lengths = np.array([upper - lower for lower, upper in self.arcs])
-                arc = rng.choice(len(lengths), size=int(low.sum()), p=lengths / lengths.sum())
-                phase[low] = np.array([lower for lower, _ in self.arcs])[arc] + lengths[arc] * rng.random(len(arc))
-            if self.cones is None:
-                cap = np.sin(0.5 * self.max_angle) ** 2
-                angle[low] = 2.0 * np.arcsin(np.sqrt(cap * rng.random(int(low.sum()))))
-        return phase, angle
-
-    def feasible(self, direction: FloatArray, variables: FloatArray, cone: NDArray[np.int64]) -> bool:
-        """Say whether all limits are kept, to `FEASIBLE`."""
-        opening = np.abs(variables[cone])
-        phase = np.where(variables[cone] < 0.0, np.pi, 0.0) + variables[self.n_angle : self.n_variable]
-        return bool(np.all(opening <= self.max_angle + FEASIBLE)) and self.allows(direction, phase, opening)
-
-    def allows(self, direction: FloatArray, phase: FloatArray, opening: FloatArray) -> bool:
-        """Say whether elevation, spread and free sectors are kept; phase and opening angle of the moving beams."""
-        if np.any(self.elevation_margin(direction) < -FEASIBLE):
-            return False
-        if largest_angle(direction)[0] < self.min_spread - FEASIBLE:
-            return False
-        if not self.arcs:
-            return True
-        turned = np.asarray(phase)[:, np.newaxis] - np.array([lower for lower, _ in self.arcs])
-        free = np.mod(turned + FEASIBLE, 2.0 * np.pi) <= np.array([b - a for a, b in self.arcs]) + 2.0 * FEASIBLE
-        return bool(np.all(np.any(free, axis=1) | (np.asarray(opening) <= FEASIBLE)))
-
-
-def largest_angle(direction: FloatArray) -> tuple[float, int, int]:
-    """Return the angle between the two beams farthest apart, rad, and which they are; direction (n_beam, 3)."""
-    cosine = direction @ direction.T
-    first, second = np.unravel_index(int(np.argmin(cosine)), cosine.shape)
-    return float(np.arccos(np.clip(cosine[first, second], -1.0, 1.0))), int(first), int(second)
-
-
-def free_arcs(blocked_deg: Sequence[Sequence[float]]) -> tuple[tuple[float, float], ...]:
-    """Return the ranges of θ, rad, that blocked ranges leave free; empty if none is blocked.
-
-    Parameters
-    ----------
-    blocked_deg : sequence of (float, float)
-        From and to, degrees, counted from y towards z; (350, 10) goes through 0.
-
-    Returns
-    -------
-    arcs : tuple of (float, float)
-        Free ranges; the first begins in [0, 2π).
-
-    Raises
-    ------
-    InputError
-        If a range is no pair of numbers, is empty, or nothing is left.
-
-    Examples
-    --------
-    >>> [tuple(round(float(np.rad2deg(end))) for end in arc) for arc in free_arcs([(200, 340)])]
-    [(340, 560)]
-    """
-    if len(blocked_deg) == 0:
-        return ()
-    edges = check_array(np.asarray(blocked_deg, dtype=np.float64), (None, 2), what="blocked_deg")
-    starts = np.mod(edges[:, 0], 360.0)
-    widths = np.mod(edges[:, 1] - edges[:, 0], 360.0)
-    for index in np.flatnonzero(widths == 0.0).tolist():
-        raise InputError(
-            f"Invalid blocked_deg {edges[index].tolist()}: from and to must differ, by less than 360 degrees."
-        )
-    order = np.argsort(starts)
-    arcs = []
-    reach = float(np.max((starts + widths)[order] - 360.0))  # what blocked ranges through 0 cover
-    first = max(reach, 0.0)
-    reach = first
-    for start, width in zip(starts[order].tolist(), widths[order].tolist(), strict=True):
-        if start > reach:
-            arcs.append((reach, start))
-        reach = max(reach, start + width)
-    if reach < 360.0 + first:
-        end = 360.0 + first
-        if arcs and first == 0.0 and arcs[0][0] == 0.0:  # the free range through 0 is one
-            arcs[0] = (reach - 360.0, arcs[0][1])
+    def frame(self, n_beams: int) -> Scan:
+        """Return a scan with the right distances, times and mounting, all beams along the axis."""
+        n_plane, total = len(self.distances), self.duration(n_beams)
+        if self.planes == "sequential":
+            times = total * np.arange(n_beams * n_plane) / (n_beams * n_plane)
         else:
-            arcs.append((reach, end))
-    if not arcs:
-        raise InputError(f"Invalid blocked_deg {edges.tolist()}: together they block all directions; leave some free.")
-    shifted = [(lower + 360.0, upper + 360.0) if lower < 0.0 else (lower, upper) for lower, upper in arcs]
-    return tuple((float(np.deg2rad(lower)), float(np.deg2rad(upper))) for lower, upper in shifted)
-
-
-def largest_opening(max_angle_deg: float | None, rotor_radius: float | None, focus_distance: FloatArray) -> float:
-    """Return the largest opening angle, rad, that a cone and a rotor disc allow.
-
-    The points at the largest focus distance must be no farther than `rotor_radius` from the axis.
-
-    Raises
-    ------
-    InputError
-        If neither is given, or one is not valid.
-    """
-    limits = []
-    if max_angle_deg is not None:
-        angle = check_finite(max_angle_deg, what="max_angle_deg", unit="degrees")
-        if not 0.0 < angle <= 90.0:
-            raise InputError(f"Invalid max_angle_deg {max_angle_deg!r}: it must be above 0 and at most 90 degrees.")
-        limits.append(np.deg2rad(angle))
-    if rotor_radius is not None:
-        radius = check_positive(rotor_radius, what="rotor_radius", unit="m")
-        limits.append(np.arcsin(min(radius / float(np.max(focus_distance)), 1.0)))
-    if not limits:
-        raise InputError("The beams have no limit: give max_angle_deg, the largest opening angle, or rotor_radius, m.")
-    return float(min(limits))
+            times = np.tile(total * np.arange(n_beams) / n_beams, n_plane)
+        ahead = [0.0, 0.0, 1.0] if self.axis == "up" else [-1.0, 0.0, 0.0]
+        return Scan(
+            name=f"optimized-{n_beams}-beam",
+            beam_direction=np.tile([ahead], (n_beams * n_plane, 1)),
+            focus_distance=np.repeat(self.distances, n_beams),
+            beam_time=times,
+            scan_duration=total,
+            tilt=float(np.deg2rad(self.tilt_deg)),
+            probe=PointProbe() if self.probe == "point" else as_probe(self.probe),
+        )

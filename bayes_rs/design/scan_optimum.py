@@ -27,19 +27,17 @@ class ScanOptimum:
     meaning : str
         The criterion in words.
     value : float
-        Criterion of the scan, exact.
+        Criterion of the scan.
     by_state : dict of str to float
         Its value in each turbulence; the criterion is the largest.
     starts : ndarray, shape (n_start,)
-        What each start has reached in the search, increasing.
-    polished : ndarray, shape (n_polished,)
-        Exact values that the best starts have reached in the end.
+        What each start has reached, increasing.
     references : dict of str to float
-        Exact criterion of well-known scans with as many beams, the same focus distances and timing.
+        Criterion of well-known scans with as many beams, the same focus distances and timing.
     outside : tuple of str
         Those of the references that break a limit.
-    n_evaluations, n_exact : int
-        How often the criterion was evaluated in the search, and how often exactly.
+    n_evaluations : int
+        How often the criterion was evaluated.
     seconds : float
         How long it took.
     widths : dict of str to float
@@ -56,11 +54,9 @@ class ScanOptimum:
     value: float
     by_state: dict[str, float]
     starts: FloatArray
-    polished: FloatArray
     references: dict[str, float]
     outside: tuple[str, ...]
     n_evaluations: int
-    n_exact: int
     seconds: float
     widths: dict[str, float] = field(default_factory=dict)
     by_number: dict[int, float] = field(default_factory=dict)
@@ -96,11 +92,9 @@ class ScanOptimum:
             "starts": self.starts.tolist(),
             "starts_at_the_best": self.n_agree,
             "spread": self.spread,
-            "polished": self.polished.tolist(),
             "references": self.references,
             "references_outside_the_limits": list(self.outside),
             "n_evaluations": self.n_evaluations,
-            "n_exact": self.n_exact,
             "seconds": self.seconds,
             "asked_for": self.details,
         }

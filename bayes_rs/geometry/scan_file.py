@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
@@ -209,6 +209,8 @@ def load_scan(
     tilt_deg: float | None = None,
     yaw_deg: float | None = None,
     probe: str | Probe | None = None,
+    n_beams: int | None = None,
+    centre: bool | None = None,
 ) -> Scan:
     """Load a scan by its name in ``models/scans`` or from a TOML file.
 
@@ -226,6 +228,10 @@ def load_scan(
     probe : str or Probe, optional
         ``"point"`` for beams without a probe volume, the name of a scan whose probe it is, or a probe; by default the
         file's own.
+    n_beams : int, optional
+        Another number of beams of a cone: all of a plane, one along the axis included.
+    centre : bool, optional
+        Whether one of these beams points along the axis.
 
     Returns
     -------
@@ -253,6 +259,8 @@ def load_scan(
             tilt_deg=tilt_deg,
             yaw_deg=yaw_deg,
             probe=probe,
+            n_beams=n_beams,
+            centre=centre,
         )
         for key in given:
             if key in changes:
@@ -267,19 +275,36 @@ def load_scan(
             "apply: write a TOML file with the beams that you want."
         )
     new = {
-        "beams": _given(opening_angle_deg=opening_angle_deg, focus_distance=_as_list(focus_distance)),
+        "beams": _given(opening_angle_deg=opening_angle_deg, focus_distance=_as_list(focus_distance))
+        | _other_beams(table, path, n_beams, centre),
         "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
     }
     spec = _validate(table, path, {part: values for part, values in new.items() if values})
     scan = _build(path.stem, spec, _file_format(spec.file, path))
-    return scan if probe is None else replace(scan, probe=_probe_of(probe))
+    return scan if probe is None else replace(scan, probe=as_probe(probe))
+
+
+def _other_beams(table: dict[str, Any], path: Path, n_beams: int | None, centre: bool | None) -> dict[str, Any]:
+    """Return the keys of a cone with another number of beams, or another choice of the one along the axis."""
+    if n_beams is None and centre is None:
+        return {}
+    own = _validate(table, path, {}).beams
+    if not isinstance(own, _ConeBeams):
+        raise InputError(
+            f"The beams of scan {path.stem!r} are a {own.pattern}, so n_beams and centre do not apply: write a TOML "
+            "file with the beams that you want."
+        )
+    held = own.centre if centre is None else centre
+    total = own.count + own.centre if n_beams is None else check_count(n_beams, what="n_beams")
+    return {"count": total - held, "centre": held}
 
 
 def _given(**arguments: Any) -> dict[str, Any]:
     return {name: value for name, value in arguments.items() if value is not None}
 
 
-def _probe_of(probe: str | Probe) -> Probe:
+def as_probe(probe: str | Probe) -> Probe:
+    """Return the probe volume that `probe` means: ``"point"``, the name of a scan that has one, or a probe."""
     if isinstance(probe, Probe):
         return probe
     if probe == "point":

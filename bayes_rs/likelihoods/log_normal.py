@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,6 @@ from bayes_rs.likelihoods.base import (
     log_normalizer,
     whiten_reduced,
 )
-from bayes_rs.likelihoods.plugin import plugin_likelihood
-from bayes_rs.likelihoods.power import power_likelihood
 
 __all__ = [
     "LIKELIHOODS",
@@ -228,12 +225,7 @@ def _log_normal(
     )
 
 
-LIKELIHOODS: dict[str, Callable[..., Likelihood]] = {
-    "log-normal": log_normal_likelihood,
-    "gaussian-plugin": plugin_likelihood,
-    "gaussian": partial(power_likelihood, power=1.0),
-    "gamma": partial(power_likelihood, power=1.0 / 3.0),
-}
+LIKELIHOODS: dict[str, Callable[..., Likelihood]] = {"log-normal": log_normal_likelihood}
 """The likelihoods by name; each call takes variance, used, gain, covariance, offset and the options by name."""
 
 
@@ -250,7 +242,7 @@ def make_likelihood(
     reference: FloatArray | None = None,
     place: FloatArray | None = None,
 ) -> Likelihood:
-    """Prepare the likelihood that `name` means; for the others see `log_normal_likelihood`.
+    """Prepare the likelihood that `name` means.
 
     Parameters
     ----------

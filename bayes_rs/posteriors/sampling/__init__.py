@@ -1,6 +1,6 @@
 """The samplers, by name: all give the same posterior.
 
-This package is the only place that imports emcee.
+`ensemble` is the only module that imports emcee.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.ensemble import sample_emcee
-from bayes_rs.posteriors.sampling.plain import sample_plain
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 
@@ -44,7 +43,6 @@ SAMPLERS: dict[str, Callable[..., Chains]] = {
     "emcee": sample_emcee,
     "direct": sample_direct,
     "auto": sample_auto,
-    "emcee-plain": sample_plain,
 }
 """The samplers by name: (posterior, *, streams, seed, target_ess, max_extension) → Chains."""
 

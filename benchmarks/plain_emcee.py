@@ -1,4 +1,7 @@
-"""emcee as most people would write it, for reference: one record at a time, stretch moves, a ball around the mode."""
+"""emcee as most people would write it, for reference: one record at a time, stretch moves, a ball around the mode.
+
+`register` gives it to the package as the sampler ``"emcee-plain"``.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
+from bayes_rs.posteriors.sampling import SAMPLERS
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
@@ -121,3 +125,8 @@ def _sample_one(
         chains.n_step[record] = steps
         if not chains.missed(target_ess)[record].any():
             break
+
+
+def register() -> None:
+    """Let `bayes_rs.fit` find this sampler by its name, ``"emcee-plain"``."""
+    SAMPLERS["emcee-plain"] = sample_plain

@@ -1,0 +1,13 @@
+from .compare_options import CompareOptions as CompareOptions
+from .comparing import compare as compare
+from .comparing import enough_beams as enough_beams
+from .comparison_plot import plot_comparison as plot_comparison
+from .estimators import estimate as estimate
+from .optimizing import optimize_scan as optimize_scan
+from .optimizing import scan_criterion as scan_criterion
+from .planning import Plan as Plan
+from .planning import Step as Step
+from .planning import plan as plan
+from .scan_criteria import CriterionOptions as CriterionOptions
+from .scan_limits import ScanLimits as ScanLimits
+from .scan_optimum import ScanOptimum as ScanOptimum
