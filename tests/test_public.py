@@ -59,9 +59,7 @@ PUBLIC = [
     "plan",
     "Step",
     "Plan",
-    "theory_bank",
     "LineMaker",
-    "gap_noise",
     "FlatPrior",
     "GaussianPrior",
     "MannPrior",
@@ -70,19 +68,18 @@ PUBLIC = [
     "InputError",
     "MannTurbulence",
     "MissingExtraError",
-    "NoiseBank",
     "NoiseMismatchError",
-    "NoiseModel",
+    "Noise",
+    "noise",
+    "turbulence",
     "NotPositiveDefiniteError",
     "Prior",
-    "RecordNoise",
     "STRESSES",
     "Scan",
     "Sight",
     "WeakPrior",
     "__version__",
     "autocorrelation_time",
-    "calibrate",
     "demo_file",
     "describe_report",
     "design_matrix",
@@ -90,19 +87,15 @@ PUBLIC = [
     "ess_tail",
     "estimate",
     "cross_spectra",
-    "find_shipped_noise",
     "fit_turbulence",
-    "sonic_moments",
     "velocity_covariance",
     "fit",
     "flag_words",
     "is_realizable",
-    "load_noise",
     "load_scan",
     "load_turbulence",
     "make_prior",
     "make_records",
-    "noise_for_records",
     "open_result",
     "pack_stress",
     "plot_corner",
@@ -119,7 +112,6 @@ PUBLIC = [
     "sight",
     "simulate",
     "summary",
-    "theory_noise",
     "unpack_stress",
 ]
 
@@ -133,10 +125,38 @@ def test_every_public_name_can_be_had():
         assert getattr(bayes_rs, name) is not None
 
 
+def test_the_names_of_noise_and_turbulence():
+    assert sorted(bayes_rs.noise.__all__) == [
+        "Boxes",
+        "Noise",
+        "RecordNoise",
+        "SonicMoments",
+        "SonicNoise",
+        "calibrate",
+        "load",
+        "sonic_moments",
+        "theory",
+    ]
+    assert sorted(bayes_rs.turbulence.__all__) == [
+        "MannTurbulence",
+        "cross_spectra",
+        "fit",
+        "load",
+        "velocity_covariance",
+    ]
+    for package in (bayes_rs.noise, bayes_rs.turbulence):
+        assert all(callable(getattr(package, name)) for name in package.__all__)
+
+
 def test_no_module_has_the_name_of_something_public():
     """Importing a module sets it on the package, where it would hide the function of that name."""
-    modules = {module.name for module in pkgutil.iter_modules(bayes_rs.__path__)}
-    assert modules.isdisjoint(PUBLIC)
+    for package, subjects in (
+        (bayes_rs, {"noise", "turbulence"}),
+        (bayes_rs.noise, set()),
+        (bayes_rs.turbulence, set()),
+    ):
+        modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
+        assert modules.isdisjoint(set(package.__all__) - subjects)
 
 
 def test_names_stay_what_they_are_when_all_modules_are_imported():
