@@ -100,13 +100,13 @@ def plan(
 @mounting_options
 @click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
 @click.option(
-    "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
+    "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; may be given several times."
 )
 @click.option(
     "--noise-yaw",
     type=float,
     multiple=True,
-    help="Wind direction relative to the lidar axis, degrees; several make a bank.",
+    help="Wind direction relative to the lidar axis, degrees; may be given several times.",
 )
 @click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
 @click.option("--method", default="theory", show_default=True, help="theory or boxes.")

@@ -33,7 +33,7 @@ def with_yaw_sd(
     scan : Scan
         The scan that measured them.
     noise : Noise
-        Their noise: the deviations are those of `mean_wind` in its turbulence; of a bank over several length scales, in
+        Their noise: the deviations are those of `mean_wind` in its turbulence; of noise over several length scales, in
         that of the middle one.
     nuisances : Nuisances, optional
         What is uncertain beside R.

@@ -38,7 +38,7 @@ class Nuisances:
         Standard deviation of the logarithm of the instrument's noise variance; its median is the ``instrument_noise``
         of `fit`, the same for all beams (of ``"records"``, the mean of those of a record's beams).
     length_scale_log_sd : float
-        Standard deviation of ln L, the turbulence's length scale; needs a noise bank that spans several.
+        Standard deviation of ln L, the turbulence's length scale; needs noise that spans several.
     length_scale : float, optional
         Median of L, m; by default the ``length_scale`` of each record.
     inflation : float
@@ -150,7 +150,7 @@ class Nuisances:
     def place(self, scan_geometry: Mapping[str, Any]) -> FloatArray | None:
         """Return by how much ln E[y] changes with each gradient's coordinate, (n_beam, n_gradient); None if none is on.
 
-        `scan_geometry` is that of the noise model: what `Scan.geometry` returns.
+        `scan_geometry` is that of the noise: what `Scan.geometry` returns.
         """
         if not self.gradient_names:
             return None
