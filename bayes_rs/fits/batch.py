@@ -112,7 +112,7 @@ class RecordDraws:
     misfit : ndarray, shape (n_record,)
         Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
     outside : ndarray of bool, shape (n_record,)
-        Whether the noise bank does not reach to the record.
+        Whether the noise does not reach to the record.
     clipped : ndarray, shape (n_record,)
         What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
     """
@@ -316,7 +316,7 @@ def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicN
 
 
 def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
-    """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
+    """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
     return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
 
 
