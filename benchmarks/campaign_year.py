@@ -16,7 +16,11 @@ from pathlib import Path
 from year import make_year
 
 import bayes_rs as brs
-from bayes_rs.fits.tables import part_files
+
+
+def part_files(folder: Path, dataset: str) -> list[Path]:
+    """Return the files of a dataset, also of a run that is under way."""
+    return sorted((folder / dataset).glob("**/part-*.parquet"))
 
 
 def main() -> None:

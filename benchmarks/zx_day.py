@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 import bayes_rs as brs
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits.long_job import run_folder_fit
 from bayes_rs.records.record_store import store_records
 
@@ -84,7 +85,8 @@ def profile(file: Path, scan: brs.Scan, store: Path) -> None:
     """Print where the time of reading and making records goes."""
     shutil.rmtree(store, ignore_errors=True)
     profiler = cProfile.Profile()
-    profiler.runcall(store_records, file, scan, store, reading=READING)
+    with begin_result_folder(store, key="profile", key_parts={}) as folder:
+        profiler.runcall(store_records, file, scan, folder, reading=READING)
     pstats.Stats(profiler).sort_stats("tottime").print_stats(25)
 
 

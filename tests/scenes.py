@@ -4,8 +4,10 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs import MannTurbulence, Scan
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.model import NoiseModel
+from bayes_rs.records.record_store import store_records
 
 TURBULENCE = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="test")
 
@@ -65,3 +67,9 @@ def draw_variances(stress: np.ndarray, scan: Scan, noise: NoiseModel, rng: np.ra
     covariance = np.log(1.0 + noise.covariance)
     mean = np.log(stress @ design_matrix(scan).T) - 0.5 * np.diag(covariance)
     return np.exp(mean + rng.multivariate_normal(np.zeros(scan.n_beam), covariance, len(stress), method="eigh"))
+
+
+def stored_records(files, scan, place, **options):
+    """What `store_records` makes of files, in a folder of results of its own."""
+    with begin_result_folder(place, key="scene", key_parts={}) as folder:
+        return store_records(files, scan, folder, **options)

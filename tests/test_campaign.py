@@ -33,7 +33,7 @@ from bayes_rs import (
     summary,
     theory_noise,
 )
-from bayes_rs.fits import campaign, tables
+from bayes_rs.fits import campaign
 from bayes_rs.fits import parts as campaign_parts
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits.result import FLAGS, group
@@ -233,7 +233,7 @@ class TestRecordsThatCannotBeFitted:
 
     def test_every_part_has_the_same_types(self, whole):
         for name in ("summary", "posterior", "draws"):
-            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in tables.part_files(whole, name)}
+            types = {str(pd.read_parquet(file).dtypes.to_dict()) for file in (whole / name).glob("**/*.parquet")}
             assert len(types) == 1, name
 
 
@@ -256,7 +256,7 @@ class TestFolder:
         assert run["prior"].startswith("weak")
 
     def test_a_folder_without_a_summary(self, tmp_path):
-        with pytest.raises(InputError, match=r"No summary in .*: give the output folder of fit_campaign"):
+        with pytest.raises(InputError, match=r"No results in .*: it has no fingerprints.jsonl; give the output"):
             read_summary(tmp_path)
 
     def test_memory_does_not_grow_with_the_records(self, tmp_path):
@@ -305,9 +305,11 @@ class TestMonths:
     def test_a_part_is_whole_only_with_both(self, straddling, tmp_path):
         folder = fit_campaign(straddling, SCAN, tmp_path / "out", **OPTIONS).folder
         (folder / "summary" / "month=2020-03" / "part-000001.parquet").unlink()
-        before = read_summary(folder)
-        assert fit_campaign(straddling, SCAN, folder, resume=True, **OPTIONS).n_resumed == N_RECORD - PART
-        assert len(read_summary(folder)) == len(before) + 2 * 6
+        with pytest.raises(InputError, match=r"part-000001.parquet' is missing: resume the fit to make it again"):
+            read_summary(folder)
+        found = fit_campaign(straddling, SCAN, folder, resume=True, **OPTIONS)
+        assert found.n_resumed == N_RECORD - PART
+        assert found.summary()["record"].nunique() == N_RECORD
 
 
 class TestZarr:
@@ -343,7 +345,8 @@ class TestZarr:
             assert found.n_resumed == N_RECORD - PART
             assert chunk.read_bytes() == before
         (folder / "draws.zarr" / "zarr.json").unlink()
-        assert fit_campaign(records, SCAN, folder, resume=True, draws="zarr", **OPTIONS).n_resumed == 0
+        assert fit_campaign(records, SCAN, folder, resume=True, draws="zarr", **OPTIONS).n_resumed == N_RECORD
+        assert (folder / "draws.zarr" / "zarr.json").is_file()
 
     def test_records_without_time(self, records, tmp_path):
         some = records.isel(record=slice(0, 7)).drop_vars("time")
@@ -386,7 +389,7 @@ class TestVersions:
         # the file that says so may be lost: the key knows them, too
         run = json.loads((tmp_path / "out" / "run.json").read_text())
         (tmp_path / "out" / "run.json").write_text(json.dumps({"key": run["key"], "finished": False}))
-        with pytest.raises(InputError, match="is of a run that differs in data, options or version, so it cannot"):
+        with pytest.raises(InputError, match="is of a run that differs in packages and part records, so it cannot"):
             fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", resume=True, **OPTIONS)
 
 
@@ -555,22 +558,22 @@ class TestFailures:
 
     @pytest.mark.parametrize("workers", [1, 2])
     def test_a_full_disk_keeps_the_finished_parts(self, records, plain, monkeypatch, tmp_path, workers):
-        write = pd.DataFrame.to_parquet
+        write = Path.write_bytes
 
-        def full(table, path, **options):
-            if len(parts(tmp_path / "out")) == 2:
-                Path(path).write_bytes(b"PAR1")
+        def full(path, content):
+            if len(parts(tmp_path / "out")) == 2 and path.name.startswith(".half.part-"):
+                write(path, b"PAR1")
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            write(table, path, **options)
+            return write(path, content)
 
-        monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
+        monkeypatch.setattr(Path, "write_bytes", full)
         began = time.monotonic()
         with pytest.raises(OSError, match="No space left on device") as caught:
             fit_campaign(records, SCAN, tmp_path / "out", workers=workers, **OPTIONS)
         assert "with resume goes on from there" in caught.value.__notes__[0]
         assert time.monotonic() - began < 60.0
         assert not list((tmp_path / "out").glob("**/.half.part-*"))
-        monkeypatch.setattr(pd.DataFrame, "to_parquet", write)
+        monkeypatch.setattr(Path, "write_bytes", write)
         assert fit_campaign(records, SCAN, tmp_path / "out", resume=True, **OPTIONS).n_resumed == PART
         same_folders(tmp_path / "out", plain)
 
@@ -580,7 +583,7 @@ class TestFailures:
 
         fit_campaign(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", **OPTIONS)
         monkeypatch.setattr(campaign, "fit_part", None)
-        monkeypatch.setattr("bayes_rs.output.write_run", refused)
+        monkeypatch.setattr("bayes_rs.begin_folder.write_ledger", refused)
         for name, options in (("new", {}), ("out", {"resume": True})):
             with pytest.raises(
                 InputError, match=r"Cannot write the output folder .*: Permission denied; give a folder"

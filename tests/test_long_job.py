@@ -13,14 +13,14 @@ import pandas as pd
 import pytest
 import xarray as xr
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
+from scenes import stored_records
 
 from bayes_rs import InputError, MissingExtraError, make_records, read_radial_velocity, read_summary
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store, tables
 from bayes_rs.fits.long_job import run_long_fit
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
-from bayes_rs.records.record_store import store_records
+from bayes_rs.records import record_store
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -64,7 +64,7 @@ def same(one, other):
     """Check that two runs have the same tables and records, bit by bit."""
     pd.testing.assert_frame_equal(read_summary(one), read_summary(other), check_exact=True)
     for name in ("summary", "posterior"):
-        for file in tables.part_files(one, name):
+        for file in (one / name).glob("**/*.parquet"):
             assert file.read_bytes() == (other / file.relative_to(one)).read_bytes()
     xr.testing.assert_identical(*(xr.load_dataset(of / "records.nc", engine="h5netcdf") for of in (one, other)))
 
@@ -284,7 +284,7 @@ class TestBadFiles:
         for beam in (0, 1):
             write_file(tmp_path / f"{beam}.csv", series.isel(sample=series["beam"].values == beam))
         garble(tmp_path / "1.csv")
-        found = store_records(tmp_path, SCAN, tmp_path / "store", chunk_rows=100, duration=DURATION)
+        found = stored_records(tmp_path, SCAN, tmp_path / "store", chunk_rows=100, duration=DURATION)
         assert [Path(name).name for name in found.bad_files] == ["1.csv"]
         assert found.records["beam"].values.tolist() == [0]
 
@@ -294,7 +294,7 @@ class TestBadFiles:
 
         monkeypatch.setattr(record_store, "stream_radial_velocity", full)
         with pytest.raises(OSError, match="No space left"):
-            store_records(files, SCAN, tmp_path / "store", duration=DURATION)
+            stored_records(files, SCAN, tmp_path / "store", duration=DURATION)
 
 
 class TestLateSamples:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from folder_scene import DURATION, FITTING, FLOW, RECORDING
+from scenes import stored_records
 
 from bayes_rs import (
     InputError,
@@ -28,8 +29,8 @@ from bayes_rs import (
     write_report,
 )
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
+from bayes_rs.records import record_store
 from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow
@@ -135,7 +136,7 @@ class TestSameBytes:
         whole = json.loads(read_radial_velocity(tmp_path / "year", scan, **reading).attrs["read_report"])
         assert whole["samples_out_of_order"] > 100
         for rows in (40, 333, 100_000):
-            stored = record_store.store_records(
+            stored = stored_records(
                 tmp_path / "year", scan, tmp_path / f"{rows}", reading=reading, chunk_rows=rows, **RECORDING
             )
             assert json.loads(stored.records.attrs["read_report"]) == whole
@@ -145,7 +146,7 @@ class TestSameBytes:
         for day, name in (("a", "0.csv"), ("b", "1.csv")):
             (tmp_path / "year" / day).mkdir(parents=True)
             shutil.copy(place / "year" / name, tmp_path / "year" / day / "lidar.csv")
-        stored = record_store.store_records(tmp_path / "year", scan, tmp_path / "store", **RECORDING)
+        stored = stored_records(tmp_path / "year", scan, tmp_path / "store", **RECORDING)
         whole = read_radial_velocity(tmp_path / "year", scan)
         assert json.loads(stored.records.attrs["read_report"]) == json.loads(whole.attrs["read_report"])
         assert len(json.loads(whole.attrs["read_report"])["files"]) == 2

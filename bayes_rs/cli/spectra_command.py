@@ -50,7 +50,7 @@ def spectra(files: tuple[Path, ...], output: Path, overwrite: bool, **options: A
     from bayes_rs.output import check_output_folder
     from bayes_rs.spectra.spectra_job import run_spectra
 
-    check_output_folder(output, overwrite=overwrite)
+    check_output_folder(output, overwrite=overwrite, inputs=files)
     scan = chosen_scan(options)
     series = read_series(files, scan, options)
     made = records_of(series, scan, options)

@@ -51,7 +51,7 @@ def run_compare(
     """
     from bayes_rs.design.comparison_plot import plot_comparison  # noqa: PLC0415 - matplotlib is slow to load
 
-    check_output_folder(output, overwrite=overwrite)
+    check_output_folder(output, overwrite=overwrite, inputs=[*scans, *turbulence])
     table = compare(
         list(scans),
         [load_turbulence(name) for name in turbulence],

@@ -58,7 +58,7 @@ def run_optimize(
     InputError
         If the folder exists, or an option is not valid.
     """
-    check_output_folder(output, overwrite=overwrite)
+    check_output_folder(output, overwrite=overwrite, inputs=[] if probe_of is None else [probe_of])
     probe = None if probe_of is None else load_scan(probe_of).probe
     best = optimize_scan(blocked_deg=[_range(text) for text in blocked], probe=probe, **options)
     lines = summary_lines(best)

@@ -84,7 +84,7 @@ def run_trade_off(
     """
     from bayes_rs.design.trading_plot import plot_trade_off  # noqa: PLC0415 - matplotlib is slow to load
 
-    check_output_folder(output, overwrite=overwrite)
+    check_output_folder(output, overwrite=overwrite, inputs=[turbulence, *([] if probe_of is None else [probe_of])])
     for what, values in (
         ("opening angles", opening_angle_deg),
         ("focus distances", focus_distance),

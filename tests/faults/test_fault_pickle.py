@@ -9,8 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scenes import stored_records
 
 import bayes_rs
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.models import models_folder
 from bayes_rs.records import record_store
 from bayes_rs.report.folder import _draws_of_store
@@ -66,8 +68,8 @@ def test_what_a_folder_fit_keeps_while_it_reads(tmp_path, monkeypatch):
     scan = bayes_rs.load_scan("staring")
     rows = [f"{np.datetime64('2020-01-01T00:00:00') + np.timedelta64(k, 's')},0,{k % 7}" for k in range(1500)]
     (tmp_path / "a.csv").write_text("time,beam,radial_velocity\n" + "\n".join(rows) + "\n")
-    record_store.store_records(tmp_path / "a.csv", scan, tmp_path / "kept")
-    with zipfile.ZipFile(tmp_path / "kept" / "state.npz") as archive:
+    stored_records(tmp_path / "a.csv", scan, tmp_path / "kept")
+    with zipfile.ZipFile(tmp_path / "kept" / "records" / "state.npz") as archive:
         for name in archive.namelist():
             with archive.open(name) as part:
                 assert np.lib.format.read_array(part, allow_pickle=False).dtype.kind != "O"
@@ -79,8 +81,9 @@ def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
         def __reduce__(self):
             return (Path.touch, (tmp_path / "run",))
 
-    np.savez(tmp_path / "state.npz", meta=np.array([Evil()], dtype=object))
-    assert record_store._load(tmp_path).files == {}
+    with begin_result_folder(tmp_path / "out", key="k", key_parts={}) as folder:
+        folder.write("records/state.npz", lambda file: np.savez(file, meta=np.array([Evil()], dtype=object)))
+        assert record_store._load(folder).files == {}
     assert not (tmp_path / "run").exists()
 
 
