@@ -32,6 +32,7 @@ from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
 from bayes_rs.records import record_store
 from bayes_rs.report.folder import read_folder
+from bayes_rs.result_folder import seal_folder
 
 pytestmark = pytest.mark.slow
 N_RECORD = 10
@@ -178,6 +179,7 @@ class TestOlderFolders:
         (folder / "run.json").write_text(json.dumps(run))
         for file in folder.glob("posterior/**/*.parquet"):
             pd.read_parquet(file).drop(columns=[*ALONG, *ALONG_SHAPE]).to_parquet(file, index=False)
+        seal_folder(folder)
         return folder
 
     def test_they_are_read(self, older, place):
