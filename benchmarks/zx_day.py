@@ -21,11 +21,12 @@ import pyarrow.csv
 
 import bayes_rs as brs
 from bayes_rs.fits.long_job import run_folder_fit
-from bayes_rs.records.record_store import store_records
+from bayes_rs.readers import FileOptions
+from bayes_rs.records import store_records
 
 START = np.datetime64("2020-09-04", "ns")
 RECORDS = 144
-READING = {"positive": "away"}
+READING = FileOptions(positive="away")
 """As simulated, whatever the instrument's own files say."""
 
 
@@ -49,7 +50,7 @@ def main() -> None:
     for _ in range(arguments.repeat):
         output = arguments.folder / "out"
         began = time.perf_counter()
-        outcome = run_folder_fit(file, scan, output, reading=READING, workers=arguments.workers, overwrite=True)
+        outcome = run_folder_fit(file, scan, output, reading=READING.given(), workers=arguments.workers, overwrite=True)
         seconds = time.perf_counter() - began
         run = json.loads((output / "run.json").read_text(encoding="utf-8"))
         people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)

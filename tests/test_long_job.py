@@ -16,11 +16,12 @@ from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, 
 
 from bayes_rs import InputError, MissingExtraError, make_records, read, read_summary
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store, tables
+from bayes_rs.fits import tables
 from bayes_rs.fits.long_job import run_long_fit
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
-from bayes_rs.records.record_store import store_records
+from bayes_rs.readers import FileOptions
+from bayes_rs.records import record_store, store_records
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -284,7 +285,14 @@ class TestBadFiles:
         for beam in (0, 1):
             write_file(tmp_path / f"{beam}.csv", series.isel(sample=series["beam"].values == beam))
         garble(tmp_path / "1.csv")
-        found = store_records(tmp_path, SCAN, tmp_path / "store", chunk_rows=100, duration=DURATION)
+        found = store_records(
+            tmp_path,
+            SCAN,
+            tmp_path / "store",
+            reading=FileOptions(on_bad_file="skip"),
+            chunk_rows=100,
+            duration=DURATION,
+        )
         assert [Path(name).name for name in found.bad_files] == ["1.csv"]
         assert found.records["beam"].values.tolist() == [0]
 

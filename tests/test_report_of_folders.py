@@ -28,8 +28,9 @@ from bayes_rs import (
     write_report,
 )
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
+from bayes_rs.readers import FileOptions
+from bayes_rs.records import record_store
 from bayes_rs.report.folder import read_folder
 
 pytestmark = pytest.mark.slow
@@ -134,7 +135,12 @@ class TestSameBytes:
         assert whole["samples_out_of_order"] > 100
         for rows in (40, 333, 100_000):
             stored = record_store.store_records(
-                tmp_path / "year", scan, tmp_path / f"{rows}", reading=reading, chunk_rows=rows, **RECORDING
+                tmp_path / "year",
+                scan,
+                tmp_path / f"{rows}",
+                reading=FileOptions(**reading),
+                chunk_rows=rows,
+                **RECORDING,
             )
             assert json.loads(stored.records.attrs["read_report"]) == whole
 
