@@ -1,4 +1,4 @@
-"""The errors that a caller may want to catch by name; two of them carry data."""
+"""The errors that a caller may want to catch by name; three of them carry data."""
 
 from __future__ import annotations
 
@@ -41,3 +41,17 @@ class MissingExtraError(ImportError):
 
 class WorkerError(RuntimeError):
     """Worker processes that die again and again."""
+
+
+class LostResultsError(RuntimeError):
+    """Results of a run that are gone, or not what it wrote, when the run ends.
+
+    Attributes
+    ----------
+    damage : dict of str to str
+        What is wrong with each file, by its path in the folder.
+    """
+
+    def __init__(self, message: str, *, damage: dict[str, str]) -> None:
+        super().__init__(message)
+        self.damage = damage

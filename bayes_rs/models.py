@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from bayes_rs.errors import InputError
@@ -99,3 +100,19 @@ def demo_file(name: str) -> Path:
         names = ", ".join(sorted(file.stem for file in models_folder("demo").glob("*.parquet")))
         raise InputError(f"No embedded data {name!r}: use one of {names}.")
     return path
+
+
+class _Presets:
+    """The names of the shipped presets of one kind, looked up when they are asked for."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(preset_names(self.kind))
+
+
+SCANS = _Presets("scans")
+"""Names of the shipped scans."""
+TURBULENCES = _Presets("turbulence")
+"""Names of the shipped turbulences."""

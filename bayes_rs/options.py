@@ -1,7 +1,7 @@
 """Options that are written once: name, type, default, unit and one line of help.
 
-A class of options is a frozen dataclass whose fields are made with `option`. Python's keywords, settings files, the command
-line, `run.json` and the tables of the documentation are all made from these fields.
+A class of options is a frozen dataclass whose fields are made with `option`. Python's keywords, settings files, the
+command line, `run.json` and the tables of the documentation are all made from these fields.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class About:
         have it.
     metavar : str
         What stands for its value in the help, as ``"OURS=THEIRS"``.
+    open : bool
+        Whether other values than the listed ones are possible, too.
     """
 
     help: str
@@ -45,6 +47,7 @@ class About:
     choices: str | tuple[str, ...] = ""
     flag: str | None = None
     metavar: str = ""
+    open: bool = False
 
 
 def option(
@@ -55,9 +58,10 @@ def option(
     choices: str | tuple[str, ...] = "",
     flag: str | None = None,
     metavar: str = "",
+    open: bool = False,  # noqa: A002 - an open list of choices
 ) -> Any:
     """Return a dataclass field that says what its option is; see `About`."""
-    about = {_KEY: About(help=help, unit=unit, choices=choices, flag=flag, metavar=metavar)}
+    about = {_KEY: About(help=help, unit=unit, choices=choices, flag=flag, metavar=metavar, open=open)}
     if isinstance(default, (dict, list)):
         return field(default_factory=default.copy, metadata=about)
     return field(default=default, metadata=about)
@@ -126,7 +130,7 @@ def from_plain(cls: type[_Class], values: Mapping[str, Any], *, where: str) -> _
         if name not in known:
             raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}.")
     try:
-        return cls(**{name: _as_type(value, known[name].type) for name, value in values.items()})
+        return cls(**{name: _as_type(value, known[name].type, f"{where}, {name}") for name, value in values.items()})
     except TypeError as error:
         raise InputError(f"Invalid options in {where}: {error}.") from error
 
@@ -156,8 +160,10 @@ def _in_words(annotation: str) -> str:
     return annotation.replace(" | ", " or ").replace(" or None", "")
 
 
-def _as_type(value: Any, annotation: Any) -> Any:
+def _as_type(value: Any, annotation: Any, where: str) -> Any:
     """Return a plain value as the type of an option has it: lists as tuples, texts for numbers that JSON lacks."""
+    if isinstance(value, Mapping) and is_dataclass(annotation):
+        return from_plain(annotation, value, where=where)  # type: ignore[arg-type] # a class of options
     kinds = get_args(annotation) if get_origin(annotation) in (typing.Union, types.UnionType) else (annotation,)
     if isinstance(value, str) and value in ("inf", "-inf", "nan") and float in kinds and str not in kinds:
         return float(value)
@@ -167,18 +173,17 @@ def _as_type(value: Any, annotation: Any) -> Any:
 
 
 def _plain(value: Any, name: str) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if hasattr(value, "item") and not hasattr(value, "__len__"):
-        return _plain(value.item(), name)
-    if isinstance(value, Mapping):
-        return {str(key): _plain(part, name) for key, part in value.items()}
-    if isinstance(value, Sequence):
-        return [_plain(part, name) for part in value]
-    if hasattr(value, "__fspath__"):
-        return str(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return to_plain(value)
-    raise InputError(f"Invalid {name} {value!r}: it cannot be written to a file; give its name, or numbers and texts.")
+    plain: Any = value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value
+    if (isinstance(plain, float) and not math.isfinite(plain)) or hasattr(plain, "__fspath__"):
+        plain = str(plain)
+    elif isinstance(plain, Mapping):
+        plain = {str(key): _plain(part, name) for key, part in plain.items()}
+    elif isinstance(plain, Sequence) and not isinstance(plain, str):
+        plain = [_plain(part, name) for part in plain]
+    elif is_dataclass(plain) and not isinstance(plain, type) and options_of(type(plain)):
+        plain = to_plain(plain)
+    elif not (plain is None or isinstance(plain, (bool, int, float, str))):
+        raise InputError(
+            f"Invalid {name} {plain!r}: it cannot be written to a file; give its name, or numbers and texts."
+        )
+    return plain

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_rs.errors import InputError
 from bayes_rs.folder_lock import locked
+from bayes_rs.folder_place import (
+    cannot_write,
+    check_free,
+    check_inputs,
+    check_place,
+    finish_replacing,
+    make_folder,
+    replaced_of,
+    take_place,
+)
+from bayes_rs.result_folder import RUN_FILE, run_bytes, seal_folder
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-RUN_FILE = "run.json"
-"""Every output folder of ours holds it: a folder without it is never replaced."""
 _STEM = 40
 """Characters of a name in the temporary names beside it, which thus stay short enough for any file system."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -35,7 +42,7 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     path : str or Path
         The folder to make.
     overwrite : bool
-        Replace an existing folder, if an earlier run made it.
+        Replace an existing folder, if we wrote every file in it, and none was changed since.
 
     Yields
     ------
@@ -48,28 +55,39 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         If the folder exists and may not be replaced, another run is writing it, or its parent cannot be written.
     """
     final = Path(path)
-    with _alone(final, overwrite=overwrite), _fresh_folder(final, overwrite=overwrite) as part:
+    try:
+        check_place(final)
+        alone = _alone(final, overwrite=overwrite)
+    except OSError as error:
+        raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
+    with alone, _fresh_folder(final, overwrite=overwrite) as part:
         yield part
 
 
 def _alone(final: Path, *, overwrite: bool) -> AbstractContextManager[None]:
     """Keep others from a folder that is to be replaced: a long run may still be filling it."""
-    return locked(final) if overwrite and final.is_dir() else nullcontext()
+    there = final.is_dir() or replaced_of(final).exists()
+    return locked(final) if overwrite and there else nullcontext()
 
 
 @contextmanager
 def _fresh_folder(final: Path, *, overwrite: bool) -> Iterator[Path]:
     try:
-        _check_free(final, overwrite=overwrite)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        made = tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.partial-")
+        if overwrite:
+            finish_replacing(final)
+        check_free(final, overwrite=overwrite)
+        part = make_folder(final, prefix=f"{final.name[:_STEM]}.partial-")
     except OSError as error:
-        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
-    part = final.parent / Path(made).name  # as the user wrote it: from Python 3.12 on, what was made is absolute
+        raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     try:
         yield part
-        _check_free(final, overwrite=overwrite)  # another run may have ended meanwhile
-        _take_place(part, final)
+        if not overwrite:
+            check_free(final, overwrite=False)  # another run may have ended meanwhile
+        try:
+            seal_folder(part)
+            take_place(part, final)
+        except OSError as error:
+            raise cannot_write("the output folder ", final, error, "give another name") from error
     except BaseException as error:
         if not part.exists():
             raise
@@ -78,25 +96,6 @@ def _fresh_folder(final: Path, *, overwrite: bool) -> Iterator[Path]:
         else:
             part.rmdir()
         raise
-
-
-def _take_place(part: Path, final: Path) -> None:
-    try:
-        part.chmod(0o777 & ~_umask())
-        if not final.exists():
-            part.replace(final)
-            return
-        # two renamings, and then the removal: a run that is killed meanwhile leaves both folders whole
-        aside = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.replaced-"))
-        final.replace(aside)
-        try:
-            part.replace(final)
-        except OSError:
-            aside.replace(final)
-            raise
-        shutil.rmtree(aside)
-    except OSError as error:
-        raise _cannot_write("the output folder ", final, error, "give another name") from error
 
 
 @contextmanager
@@ -114,7 +113,7 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         final.parent.mkdir(parents=True, exist_ok=True)
         folder = tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name[:_STEM]}-")
     except OSError as error:
-        raise _cannot_write("", final, error, "give a place that can be written") from error
+        raise cannot_write("", final, error, "give a place that can be written") from error
     with folder as name:
         part = Path(name) / final.name
         yield part
@@ -122,92 +121,14 @@ def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         try:
             part.replace(final)
         except OSError as error:
-            raise _cannot_write("", final, error, "give a place that can be written") from error
-
-
-def prepare_resumable_folder(
-    path: str | Path, key: str, parts: Mapping[str, str], *, resume: bool, overwrite: bool
-) -> Path:
-    """Make a folder that is filled part by part, or find the one that an interrupted run left.
-
-    Parameters
-    ----------
-    path : str or Path
-        The folder.
-    key : str
-        Fingerprint of the run: data, options and version.
-    parts : mapping of str to str
-        The fingerprints that `key` is made of, by what they are of: they tell what differs from another run.
-    resume : bool
-        Go on in the folder of an interrupted run with the same key.
-    overwrite : bool
-        Replace an existing folder, if an earlier run made it.
-
-    Returns
-    -------
-    folder : Path
-        The folder; its `run.json` holds the key and its parts from the beginning.
-
-    Raises
-    ------
-    InputError
-        If the folder exists and is neither to be resumed nor replaced, is of another run, or cannot be written.
-    """
-    final = Path(path)
-    begun = {"key": key, "key_parts": dict(parts), "finished": False}
-    try:
-        if final.is_dir() and resume and not final.is_symlink():
-            found, found_parts = _run_key(final)
-            if found == key:
-                write_run(final, begun)  # a folder that cannot be written says so now
-                return final
-            if found is not None and not overwrite:
-                raise InputError(
-                    f"Output folder {str(final)!r} is of a run that differs in {_differing(found_parts, parts)}, so it "
-                    "cannot be resumed: give the same, another name, or overwrite."
-                )
-        elif final.is_dir() and not overwrite and _run_key(final)[0] == key:
-            raise InputError(
-                f"Output folder {str(final)!r} exists, from a run of the same data and options: resume to go on with "
-                "it, or overwrite to begin anew."
-            )
-        _check_free(final, overwrite=overwrite)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name[:_STEM]}-") as name:
-            part = (
-                Path(name) / "run"
-            )  # the folder never exists without its key: it could neither be resumed nor replaced
-            part.mkdir()
-            write_run(part, begun)
-            _take_place(part, final)
-    except OSError as error:
-        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
-    return final
-
-
-def _run_key(folder: Path) -> tuple[str | None, dict[str, Any]]:
-    """Return the key in a folder's run.json and its parts; None and nothing if there is none."""
-    try:
-        content = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None, {}
-    if not isinstance(content, dict):
-        return None, {}
-    key, parts = content.get("key"), content.get("key_parts")
-    return key if isinstance(key, str) else None, parts if isinstance(parts, dict) else {}
-
-
-def _differing(found: Mapping[str, Any], now: Mapping[str, str]) -> str:
-    """Say what differs between two runs, as ``prior and seed``."""
-    names = [name.replace("_", " ") for name in now if found and found.get(name) != now[name]]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names) or "data, options or version"
+            raise cannot_write("", final, error, "give a place that can be written") from error
 
 
 def write_run(folder: Path, content: dict[str, Any]) -> None:
     """Write `run.json`: what was run, with which versions and seed."""
     part = folder / f".{RUN_FILE}.{os.getpid()}"
     try:
-        part.write_text(json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+        part.write_bytes(run_bytes(content))
         part.replace(folder / RUN_FILE)
     finally:
         part.unlink(missing_ok=True)
@@ -276,47 +197,29 @@ def _check_no_file(final: Path, *, overwrite: bool) -> None:
         raise InputError(f"File {str(final)!r} exists: give another name, or --overwrite to replace it.")
 
 
-def check_output_folder(path: str | Path, *, overwrite: bool = False) -> None:
+def check_output_folder(path: str | Path, *, overwrite: bool = False, inputs: Iterable[str | Path] = ()) -> None:
     """Refuse an output folder that `output_folder` would refuse, before any work is done for it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder.
+    overwrite : bool
+        Whether it is to be replaced.
+    inputs : iterable of str or Path
+        Files that are read: none may lie in it.
 
     Raises
     ------
     InputError
-        If the folder exists and may not be replaced, or another run is writing it.
+        If the folder exists and may not be replaced, an input lies in it, or another run is writing it.
     """
     final = Path(path)
     try:
-        _check_free(final, overwrite=overwrite)
+        check_place(final)
+        check_inputs(final, inputs)
+        check_free(final, overwrite=overwrite)
         with _alone(final, overwrite=overwrite):
             pass
     except OSError as error:
-        raise _cannot_write("the output folder ", final, error, "give a folder that can be written") from error
-
-
-def _check_free(final: Path, *, overwrite: bool) -> None:
-    _check_name(final)
-    if final.is_symlink():
-        raise InputError(f"Cannot write the output folder {str(final)!r}: it is a link; give the folder itself.")
-    if not final.exists():
-        return
-    if not final.is_dir():
-        raise InputError(
-            f"Cannot write the output folder {str(final)!r}: a file of that name exists; give another name."
-        )
-    if not overwrite:
-        raise InputError(f"Output folder {str(final)!r} exists: give another name, or --overwrite to replace it.")
-    if any(final.iterdir()) and not (final / RUN_FILE).is_file():
-        raise InputError(
-            f"Output folder {str(final)!r} was not made by bayes-rs (it has no {RUN_FILE}), so it is not replaced: "
-            "give another name, or remove it yourself."
-        )
-
-
-def _cannot_write(what: str, final: Path, error: OSError, advice: str) -> InputError:
-    return InputError(f"Cannot write {what}{str(final)!r}: {error.strerror or error}; {advice}.")
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+        raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error

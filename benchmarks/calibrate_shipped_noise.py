@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_rs.calibration.calibrating import DEFAULT_SEED, noise_from_boxes
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.model import Noise, NoiseBank
+from bayes_rs.noise.box_noise import DEFAULT_SEED, noise_from_boxes
+from bayes_rs.noise.noise import Noise
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import load_turbulence
 
@@ -60,7 +60,7 @@ def main() -> None:
         for speed, yaw in product(BANK_WIND_SPEEDS, BANK_YAWS_DEG)
     ]
     start = time.perf_counter()
-    bank = NoiseBank(tuple(noise_from_boxes(states, turbulence, options.bank_boxes, DEFAULT_SEED)))
+    bank = Noise.join(tuple(noise_from_boxes(states, turbulence, options.bank_boxes, DEFAULT_SEED)))
     print(f"{options.bank_boxes} boxes in {time.perf_counter() - start:.0f} s")
     write(bank, options.folder / "pulsed-4-beam-point.nc")
 
@@ -68,13 +68,14 @@ def main() -> None:
 def write(noise: Noise, file: Path) -> None:
     """Write one file and say how good it is."""
     noise.save(file, overwrite=True)
-    for model in noise.models:
-        error = np.diag(model.standard_error) / np.diag(model.covariance)  # type: ignore[arg-type]  # boxes always have one
+    for index in range(len(noise)):
+        one = noise.state(index)
+        error = np.diag(one.standard_error[0]) / np.diag(one.covariance[0])  # type: ignore[index]  # boxes have one
         print(
-            f"{file.name:24s} U {model.wind_speed:4.1f} m/s  yaw {np.rad2deg(model.yaw):4.0f} deg  "
-            f"relative sd {model.relative_error.min():.3f} to {model.relative_error.max():.3f}  "
-            f"error of its square {100 * error.max():.1f} %  realizations {model.n_realizations:.0f} of "
-            f"{model.details['n_records']}  mean off by {model.details['mean_deviation_sigmas']} sigma",
+            f"{file.name:24s} U {one.wind_speed[0]:4.1f} m/s  yaw {np.rad2deg(one.yaw[0]):4.0f} deg  "
+            f"relative sd {one.relative_error.min():.3f} to {one.relative_error.max():.3f}  "
+            f"error of its square {100 * error.max():.1f} %  realizations {one.n_realizations[0]:.0f} of "
+            f"{one.details['n_records']}  mean off by {one.details['mean_deviation_sigmas']} sigma",
             flush=True,
         )
     print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB")

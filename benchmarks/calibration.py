@@ -21,7 +21,7 @@ import xarray as xr
 from scipy import stats
 
 import bayes_rs as brs
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.simulation.virtual import RecordState
@@ -45,7 +45,7 @@ class Scene:
 
     scan: brs.Scan
     flow: brs.MannTurbulence
-    noise: NoiseModel
+    noise: Noise
     deviation: np.ndarray
 
 
@@ -68,19 +68,19 @@ def make_scene(instrument: str, flow_name: str, n_record: int) -> Scene:
     """Return the scan in the flow, with its noise by theory and deviations of simulated records."""
     name, options = INSTRUMENTS[instrument]
     scan, flow = brs.load_scan(name, **options), brs.load_turbulence(flow_name)
-    noise = brs.theory_noise(scan, flow, wind_speed=WIND_SPEED)
+    noise = brs.noise.theory(scan, flow, wind_speed=WIND_SPEED)
     return Scene(scan, flow, noise, simulated_deviations(scan, flow, noise, n_record))
 
 
 def simulated_deviations(
-    scan: brs.Scan, flow: brs.MannTurbulence, noise: NoiseModel, n_record: int, seed: int = 2
+    scan: brs.Scan, flow: brs.MannTurbulence, noise: Noise, n_record: int, seed: int = 2
 ) -> np.ndarray:
     """Return y/E[y] of records of the line simulator, shape (n_record, n_beam)."""
     state = RecordState(scan, WIND_SPEED, scan.yaw, noise.duration)
     maker = brs.LineMaker(scan, flow, wind_speed=WIND_SPEED, n_sample=state.n_sample, yaw=scan.yaw)
     rng = np.random.default_rng(seed)
     parts = [maker.make(min(100, n_record - done), rng).var(axis=-1) for done in range(0, n_record, 100)]
-    expected = (1.0 + noise.bias) * (noise.gain @ flow.stresses())
+    expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ flow.stresses())
     return np.concatenate(parts) / expected
 
 
@@ -90,9 +90,9 @@ def box_deviations(name: str, scan: brs.Scan) -> np.ndarray:
     return table[[f"{name}/{beam}" for beam in scan.beam]].to_numpy(dtype=np.float64)
 
 
-def model_deviations(noise: NoiseModel, n_record: int, seed: int = 3) -> np.ndarray:
+def model_deviations(noise: Noise, n_record: int, seed: int = 3) -> np.ndarray:
     """Return log-normal deviations with the noise's moments, shape (n_record, n_beam)."""
-    covariance = np.log1p(noise.covariance)
+    covariance = np.log1p(noise.covariance[0])
     values, vectors = np.linalg.eigh(covariance)
     normal = np.random.default_rng(seed).standard_normal((n_record, len(values)))
     return np.exp(normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T - 0.5 * np.diag(covariance))
@@ -101,7 +101,7 @@ def model_deviations(noise: NoiseModel, n_record: int, seed: int = 3) -> np.ndar
 def measure(
     labels: dict[str, str],
     scan: brs.Scan,
-    noise: NoiseModel | brs.NoiseBank,
+    noise: Noise,
     prior: Prior,
     deviation: np.ndarray,
     *,
@@ -113,7 +113,7 @@ def measure(
     """Fit records of truths from the prior, and count how often the intervals hold them."""
     n_record = len(deviation)
     stress = prior.draw(n_record, seed)
-    gain = noise.models[0].gain if isinstance(noise, brs.NoiseBank) else noise.gain
+    gain = noise.gain[0]
     variance = (stress @ (gain if truth_gain is None else truth_gain).T) * deviation
     records = xr.Dataset(
         {
@@ -178,7 +178,7 @@ def off_the_ideal(n_record: int) -> list[dict[str, object]]:
 
         def add(
             case: str,
-            noise: NoiseModel | brs.NoiseBank,
+            noise: Noise,
             deviation: np.ndarray = scene.deviation,
             scene: Scene = scene,
             labels: dict[str, str] = labels,
@@ -191,23 +191,24 @@ def off_the_ideal(n_record: int) -> list[dict[str, object]]:
 
         for factor, words in ((2.0, "L twice too long"), (0.5, "L twice too short")):
             wrong = replace(scene.flow, length_scale=factor * scene.flow.length_scale)
-            add(f"noise with {words}", brs.theory_noise(scene.scan, wrong, wind_speed=WIND_SPEED))
+            add(f"noise with {words}", brs.noise.theory(scene.scan, wrong, wind_speed=WIND_SPEED))
         for gamma in (0.0, 5.0):
             wrong = replace(scene.flow, gamma=gamma)
-            add(f"noise with Γ = {gamma:g} for 3.2", brs.theory_noise(scene.scan, wrong, wind_speed=WIND_SPEED))
+            add(f"noise with Γ = {gamma:g} for 3.2", brs.noise.theory(scene.scan, wrong, wind_speed=WIND_SPEED))
         short = replace(scene.flow, length_scale=0.5 * scene.flow.length_scale)
-        short_noise = brs.theory_noise(scene.scan, short, wind_speed=WIND_SPEED)
+        short_noise = brs.noise.theory(scene.scan, short, wind_speed=WIND_SPEED)
         add("L twice too short, inflation 1.7", short_noise, nuisances=Nuisances(inflation=1.7))
         add("L twice too short, inflation uncertain", short_noise, nuisances=Nuisances(inflation_dof=4.0))
         if instrument in BOXES:
             add("Mann boxes", scene.noise, box_deviations(BOXES[instrument], scene.scan), data="boxes")
         if scene.scan.n_beam <= 6:
             probed = replace(scene.scan, probe=brs.ContinuousWaveProbe(rayleigh_length=6.0))
-            with_probe = brs.theory_noise(probed, scene.flow, wind_speed=WIND_SPEED)
-            add("probe of z_R = 6 m ignored", scene.noise, truth_gain=with_probe.gain)
-        bank = brs.theory_bank(
+            with_probe = brs.noise.theory(probed, scene.flow, wind_speed=WIND_SPEED)
+            add("probe of z_R = 6 m ignored", scene.noise, truth_gain=with_probe.gain[0])
+        bank = brs.noise.calibrate(
             scene.scan,
             short,
+            tolerance=0.01,
             wind_speed=[WIND_SPEED],
             length_scale=[0.2 * short.length_scale, 6.0 * short.length_scale],
             cache=False,

@@ -17,6 +17,7 @@ from year import make_year
 
 import bayes_rs as brs
 from bayes_rs.fits.tables import part_files
+from bayes_rs.noise.store import find_shipped_noise
 
 
 def main() -> None:
@@ -51,8 +52,8 @@ def main() -> None:
 def fit(output: Path, n_record: int) -> None:
     """Fit the year with two workers, or what is left of it."""
     scan = brs.load_scan("6-beam")
-    noise = brs.find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
-    if not isinstance(noise, brs.NoiseBank):
+    noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+    if noise is None:
         sys.exit("No noise bank is shipped for the scan.")
     records = make_year(scan, noise, n_record)
     brs.fit_campaign(records, scan, output, noise=noise, seed=1, workers=2, resume=True)

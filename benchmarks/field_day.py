@@ -17,7 +17,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
-from bayes_rs.calibration.choice import noise_for_records
 from bayes_rs.geometry.probe import PulsedProbe
 from bayes_rs.noise.probe_words import probe_loss
 
@@ -35,7 +34,7 @@ INSTRUMENT_NOISE = (0.03, 0.05)
 def read(folder: Path) -> tuple[xr.Dataset, pd.DataFrame]:
     """Return the records of the day and the masts' turbulence intensities."""
     scan = brs.load_scan("pulsed-4-beam")
-    series = brs.read_radial_velocity(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     reference = pd.read_csv(folder / "ReferencePulsed.csv", parse_dates=["Timestamp"])
     reference["both"] = 0.5 * (reference["TI_North"] + reference["TI_South"])
     return brs.make_records(series, scan), reference
@@ -55,9 +54,10 @@ def intensity(
         flow = replace(flow, length_scale=length_scale, name=f"fu-2022, L = {length_scale:g} m")
     records = records.assign_attrs(scan=scan.name, scan_key=scan.key)
     own = [float(end(records["length_scale"])) for end in (np.min, np.max)] if "length_scale" in records else None
-    noise, words = noise_for_records(records, scan.select(records["beam"].values), flow, length_scale=own)
+    noise = brs.noise.calibrate(scan, flow, records=records, length_scale=own)
+    words = noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values))
     print(words)
-    table = brs.summary(brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise), derived=["ti"])
+    table = brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise).summary(derived=["ti"])
     return table[table["stress"] == "ti"].dropna(subset="mean").merge(reference, left_on="time", right_on="Timestamp")
 
 
@@ -104,7 +104,7 @@ def along_beams(records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
         scan = replace(brs.load_scan("pulsed-4-beam"), probe=PulsedProbe(gate_length=gate))
         for length_scale in LENGTH_SCALES:
             turbulence = replace(flow, length_scale=length_scale)
-            noise, _ = noise_for_records(records, scan.select(records["beam"].values), turbulence)
+            noise = brs.noise.calibrate(scan, turbulence, records=records)
             left = 1.0 - probe_loss(noise, speed, yaw)
             weight = records["variance"].values[both]
             for index, beam in enumerate(records["beam"].values.tolist()):
@@ -129,7 +129,7 @@ def as_the_masts_see(records: xr.Dataset, reference: pd.DataFrame) -> xr.Dataset
 def as_the_spectra_say(folder: Path, records: xr.Dataset) -> xr.Dataset:
     """Return the records with the length scales and the instrument's noise of their own spectra."""
     scan, flow = brs.load_scan("pulsed-4-beam"), brs.load_turbulence("fu-2022")
-    series = brs.read_radial_velocity(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     spectra = brs.radial_spectra(series, scan, records)
     fitted = brs.fit_spectra(spectra, scan, gamma=flow.gamma)
     estimate = brs.estimate_instrument_noise(spectra.assign(length_scale=fitted["length_scale"]), scan, flow)

@@ -55,22 +55,22 @@ def sector_factor(scan: brs.Scan, flow: str) -> np.ndarray:
     return ((1.0 - (HUB + point[:, 2]) / depth) / (1.0 - HUB / depth)) ** power
 
 
-def exact_bias(scan: brs.Scan, noise: brs.NoiseModel, truth: np.ndarray, factor: np.ndarray) -> np.ndarray:
+def exact_bias(scan: brs.Scan, noise: brs.Noise, truth: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """Return the bias of least squares on exact variances, weighted as the posterior is, shape (6,)."""
     relative = design_matrix(scan) / (design_matrix(scan) @ truth)[:, None]
     left, singular, _ = np.linalg.svd(relative, full_matrices=False)
     basis = left[:, singular > 1e-9 * singular[0]]
-    root = np.linalg.cholesky(basis.T @ np.log1p(noise.covariance) @ basis)
+    root = np.linalg.cholesky(basis.T @ np.log1p(noise.covariance[0]) @ basis)
     return np.linalg.pinv(np.linalg.solve(root, basis.T @ relative), rcond=1e-10) @ np.linalg.solve(
         root, basis.T @ (factor - 1.0)
     )
 
 
 def drawn_records(
-    scan: brs.Scan, noise: brs.NoiseModel, mean: np.ndarray, n_record: int, rng: np.random.Generator
+    scan: brs.Scan, noise: brs.Noise, mean: np.ndarray, n_record: int, rng: np.random.Generator
 ) -> xr.Dataset:
     """Return records whose variances scatter about `mean` as the noise model says."""
-    covariance = np.log1p(noise.covariance)
+    covariance = np.log1p(noise.covariance[0])
     scatter = rng.multivariate_normal(-0.5 * np.diag(covariance), covariance, n_record, method="eigh")
     variance = mean * np.exp(scatter)
     start = np.datetime64("2020-01-01", "ns") + np.arange(n_record) * np.timedelta64(600, "s")
@@ -93,7 +93,7 @@ def study(n_record: int) -> pd.DataFrame:
     rows = []
     for label, (name, changes) in SCANS.items():
         scan = brs.load_scan(name, tilt_deg=0.0, **changes)
-        noise = brs.theory_noise(scan, flow_model, wind_speed=10.0)
+        noise = brs.noise.theory(scan, flow_model, wind_speed=10.0)
         some = n_record if scan.n_beam < 100 else max(n_record // 8, 2)
         for flow in FLOWS:
             began = time.perf_counter()
@@ -101,7 +101,7 @@ def study(n_record: int) -> pd.DataFrame:
             records = drawn_records(
                 scan, noise, factor * brs.radial_variance(scan, truth), some, np.random.default_rng(1)
             )
-            options = {"noise": noise, "seed": 1, "show_progress": False}
+            options = {"noise": noise, "seed": 1, "progress": False}
             table = brs.compare_inflow(records, scan, nuisances=NUISANCES, leave_one_out=False, **options)
             exact = exact_bias(scan, noise, truth, factor)
             left_out = records.copy(deep=True)
@@ -111,7 +111,7 @@ def study(n_record: int) -> pd.DataFrame:
                 fits.append(("sector left out", left_out, None))
             for fit, data, nuisances in fits:
                 result = brs.fit(data, scan, sampler="auto", nuisances=nuisances, **options)
-                summary = brs.summary(result)
+                summary = result.summary()
                 for index, stress in enumerate(brs.STRESSES):
                     part = summary[summary["stress"] == stress]
                     held = (part["hdi_low"] <= truth[index]) & (truth[index] <= part["hdi_high"])

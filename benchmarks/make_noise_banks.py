@@ -8,11 +8,10 @@ import time
 from dataclasses import replace
 
 from bayes_rs import load_scan, load_turbulence
-from bayes_rs.calibration.bank import measure_interpolation, theory_bank
-from bayes_rs.calibration.store import THEORY_SUFFIX
 from bayes_rs.models import models_folder
-from bayes_rs.noise.model import NoiseBank
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.net import measure_interpolation, refined_noise
+from bayes_rs.noise.store import THEORY_SUFFIX
 
 SCANS = {name: name for name in ("staring", "2-beam", "4-beam", "5-beam", "6-beam", "50-beam", "51-beam")} | {
     "zx-tm": "zx-tm",
@@ -32,20 +31,17 @@ def main(names: list[str]) -> None:
     for name in names or SCANS:
         start = time.perf_counter()
         scan = load_scan(SCANS[name])
-        bank = theory_bank(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
+        bank = refined_noise(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
         seconds = time.perf_counter() - start
         error = measure_interpolation(bank, scan)  # with all beams, not some
         stated = {"interpolation_error": error, "interpolation_error_beams": scan.n_beam}
-        models = []
-        for model in bank.models:
-            kept = {key: value for key, value in model.details.items() if key != "key"}
-            models.append(replace(model, details={**kept, **stated}))
+        kept = {key: value for key, value in bank.details.items() if key not in ("key", "origin")}
         file = models_folder("noise") / f"{name}{THEORY_SUFFIX}.nc"
-        NoiseBank(tuple(models)).save(file, overwrite=True, single_precision=True)
+        replace(bank, details={**kept, **stated}).save(file, overwrite=True, single_precision=True)
         load_noise(file).check_scan(scan)
         size = file.stat().st_size / 1000.0
         print(
-            f"| {name} | {scan.n_beam} | {len(models)} | {100.0 * error:.2f} % | {size:.0f} | {seconds:.1f} |",
+            f"| {name} | {scan.n_beam} | {len(bank)} | {100.0 * error:.2f} % | {size:.0f} | {seconds:.1f} |",
             flush=True,
         )
 

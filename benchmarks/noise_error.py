@@ -22,7 +22,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
-from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs.noise.box_noise import noise_from_boxes
 from bayes_rs.simulation.boxes import BoxGrid
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence import one_point, two_point
@@ -55,12 +55,12 @@ def by_theory(scan: brs.Scan, turbulence: brs.MannTurbulence, reference: np.ndar
         for _ in range(5):
             forget()
             start = time.perf_counter()
-            noise = brs.theory_noise(scan, turbulence, wind_speed=WIND_SPEED, tolerance=tolerance)
+            noise = brs.noise.theory(scan, turbulence, wind_speed=WIND_SPEED, tolerance=tolerance)
             cold.append(time.perf_counter() - start)
             start = time.perf_counter()
-            brs.theory_noise(scan, turbulence, wind_speed=1.01 * WIND_SPEED, tolerance=tolerance)
+            brs.noise.theory(scan, turbulence, wind_speed=1.01 * WIND_SPEED, tolerance=tolerance)
             warm.append(time.perf_counter() - start)
-        error = relative_error(noise.covariance, reference)
+        error = relative_error(noise.covariance[0], reference)
         rows += [
             {
                 "method": "theory, from nothing",
@@ -89,7 +89,7 @@ def by_boxes(
             start = time.perf_counter()
             (noise,) = noise_from_boxes([state], turbulence, count, 7, grid=grid)
             seconds = time.perf_counter() - start
-            error = relative_error(noise.covariance, reference)
+            error = relative_error(noise.covariance[0], reference)
             rows.append({"method": name, "size": f"{count} boxes", "seconds": seconds, "error": error})
             print(rows[-1], flush=True)
     return rows
@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--lines", type=int, default=10_000, help="most records of the line simulator")
     arguments = parser.parse_args()
     scan, turbulence = brs.load_scan("6-beam"), brs.load_turbulence("fu-2022")
-    reference = brs.theory_noise(scan, turbulence, wind_speed=WIND_SPEED, tolerance=2e-5).covariance
+    reference = brs.noise.theory(scan, turbulence, wind_speed=WIND_SPEED, tolerance=2e-5).covariance[0]
     rows = by_theory(scan, turbulence, reference)
     rows += by_lines(scan, turbulence, reference, arguments.lines)
     rows += by_boxes(scan, turbulence, reference, arguments.boxes)

@@ -24,6 +24,7 @@ import pandas as pd
 from year import make_year
 
 import bayes_rs as brs
+from bayes_rs.noise.store import find_shipped_noise
 
 PACKAGES = ("numpy", "scipy", "xarray", "pandas", "emcee", "arviz")
 RECORDS = (328, 1312, 5248)
@@ -148,8 +149,8 @@ def scaling(runs: int) -> str:
 def campaign(scan_name: str, count: int, workers: int) -> dict[str, float]:
     """Fit records by a shipped bank; return seconds and peak memory."""
     scan = brs.load_scan(scan_name)
-    noise = brs.find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
-    if not isinstance(noise, brs.NoiseBank):
+    noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+    if noise is None:
         raise TypeError(f"No noise bank is shipped for {scan_name}.")
     records = make_year(scan, noise, count)
     with tempfile.TemporaryDirectory() as folder:

@@ -77,12 +77,12 @@ def scene(scan_name: str) -> Posterior:
     """Return posteriors of records of the seed's flow, under the weak prior, with noise by theory."""
     name, options = SCANS[scan_name]
     scan, flow = brs.load_scan(name, **options), brs.load_turbulence("fu-2022")
-    noise = brs.theory_noise(scan, flow, wind_speed=10.0)
-    log_covariance = np.log1p(noise.covariance)
+    noise = brs.noise.theory(scan, flow, wind_speed=10.0)
+    log_covariance = np.log1p(noise.covariance[0])
     values, vectors = np.linalg.eigh(log_covariance)
     normal = np.random.default_rng(1).standard_normal((N_RECORD, scan.n_beam))
     scatter = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T - 0.5 * np.diag(log_covariance)
-    variance = (noise.gain @ ((1.0 + noise.bias.mean()) * flow.stresses())) * np.exp(scatter)
+    variance = (noise.gain[0] @ ((1.0 + noise.bias[0].mean()) * flow.stresses())) * np.exp(scatter)
     batch = Batch(
         variance,
         np.ones(variance.shape, dtype=np.bool_),

@@ -13,7 +13,7 @@ import pandas as pd
 import xarray as xr
 
 import bayes_rs as brs
-from bayes_rs.records.making import REMARK_FLAGS
+from bayes_rs.records.flags import REMARK_FLAGS
 
 TURBULENCE = ("fu-2022", "iec-a", "neutral-onshore", "stable-onshore", "unstable-onshore")
 CASES = (("6-beam", 10.0), ("6-beam", 6.0), ("pulsed-4-beam", 10.0))

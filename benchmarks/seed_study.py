@@ -18,7 +18,7 @@ import pandas as pd
 import xarray as xr
 
 import bayes_rs as brs
-from bayes_rs.noise.theory import SonicMoments
+from bayes_rs.theory.sonic_theory import SonicMoments
 
 WIND_SPEED, SEED, N_FIELD = 10.0, 2022, 100
 DURATIONS = (1800.0, 600.0)
@@ -95,12 +95,12 @@ def moments(scan: brs.Scan, duration: float) -> tuple[np.ndarray, np.ndarray | N
     place = (-float(np.median(scan.focus_distance)), 0.0, 0.0)
     options = {"wind_speed": WIND_SPEED, "duration": duration}
     some = scan if scan.n_beam <= MOST_BEAMS else scan.select(scan.beam[:1])
-    sonic = brs.sonic_moments(some, turbulence, position=place, **options)
-    mean = brs.radial_variance(scan, sonic.mean)
+    sonic = brs.noise.sonic_moments(some, turbulence, position=place, **options)
+    mean = brs.geometry.radial_variance(scan, sonic.mean)
     if some is not scan:
         return mean, None, sonic
-    noise = brs.theory_noise(scan, turbulence, **options)
-    return mean, noise.covariance * np.outer(mean, mean), sonic
+    noise = brs.noise.theory(scan, turbulence, **options)
+    return mean, noise.covariance[0] * np.outer(mean, mean), sonic
 
 
 def study(label: str, scan: brs.Scan, where: str, duration: float) -> list[dict[str, object]]:

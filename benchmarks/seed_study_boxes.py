@@ -99,12 +99,12 @@ def row_of(label: str, method: str, duration: float, name: str, value: np.ndarra
 def posterior(label: str, scan: brs.Scan, variance: np.ndarray, sonic: np.ndarray) -> list[dict]:
     """Return a row for each stress with what the posteriors of the 600-s records say."""
     turbulence = brs.load_turbulence("fu-2022")
-    noise = brs.calibrate(scan, turbulence, wind_speed=WIND_SPEED, duration=600.0)
+    noise = brs.noise.calibrate(scan, turbulence, wind_speed=WIND_SPEED, duration=600.0)
     records = records_of(variance, scan)
     records["wind_speed"] = ("record", np.full(len(variance), WIND_SPEED))
     records.attrs["duration"] = 600.0
-    table = brs.summary(brs.fit(records, scan, noise=noise, seed=1, sampler="auto"))
-    truth = brs.sonic_moments(scan, turbulence, wind_speed=WIND_SPEED, duration=600.0).mean
+    table = brs.fit(records, scan, noise=noise, seed=1, sampler="auto").summary()
+    truth = brs.noise.sonic_moments(scan, turbulence, wind_speed=WIND_SPEED, duration=600.0).mean
     rows = []
     for index, name in enumerate(brs.STRESSES):
         of = table[table["stress"] == name]
@@ -176,7 +176,7 @@ def main() -> None:
     options = parser.parse_args()
     chosen = {label: scan for label, (scan, _) in scans().items()}
     of_scan = variances({"sonic": sonic_scan(), **chosen}, options.fields)
-    back = np.linalg.inv(brs.design_matrix(sonic_scan()))
+    back = np.linalg.inv(brs.geometry.design_matrix(sonic_scan()))
     rows = []
     for duration in DURATIONS:
         sonic = of_scan["sonic"][duration] @ back.T

@@ -32,15 +32,15 @@ def compare(
     tables = []
     for height in heights:
         scan = brs.find_scan(folder / FILE, height=height)
-        series = brs.read_radial_velocity(folder / FILE, scan)
+        series = brs.read(folder / FILE, scan)
         for duration in DURATIONS:
             every = brs.make_records(series, scan, duration=duration)
             for number in range(every.sizes["record"]):
                 records = every.isel(record=[number])  # alone, so that the noise is of its own wind, not interpolated
-                noise, _ = brs.noise_for_records(records, scan, flow)
+                noise = brs.noise.calibrate(scan, flow, records=records)
                 result = brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise)
                 for frame in ("wind", "lidar"):
-                    table = brs.summary(result, derived=["tke"] if frame == "wind" else [], frame=frame)
+                    table = result.summary(derived=["tke"] if frame == "wind" else [], frame=frame)
                     table = table.merge(plain_inversion(records, scan, frame), on=["record", "stress"], how="left")
                     tables.append(table.assign(record=number, height=height, duration=duration, frame=frame))
     return pd.concat(tables, ignore_index=True)

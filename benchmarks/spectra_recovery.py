@@ -55,7 +55,7 @@ def length_scales(n_records=150):
     ):
         scan, flow = brs.load_scan(name, probe="point"), brs.load_turbulence(flow_name)
         spectra = noisy_spectra(scan, flow, speed, n_records, noise, seed=11)
-        fit = brs.fit_spectra(spectra, scan, gamma=flow.gamma, show_progress=False)
+        fit = brs.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False)
         error = np.log(fit["length_scale"].values / flow.length_scale)
         pooled = brs.pool_length_scale(fit)
         scale, width = float(pooled["length_scale"][0]), float(pooled["length_scale_log_sd"][0])
@@ -70,7 +70,7 @@ def length_scales(n_records=150):
 def record_counts(n_records=400):
     """Print how error and stated width of the pooled length scale go down with the number of records."""
     scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
-    fit = brs.fit_spectra(noisy_spectra(scan, flow, 10.0, n_records, 0.0, 12), scan, show_progress=False)
+    fit = brs.fit_spectra(noisy_spectra(scan, flow, 10.0, n_records, 0.0, 12), scan, progress=False)
     print("| records together | groups | mean error of ln L | scatter | stated sd | 90 % hold |")
     print("|---|---|---|---|---|---|")
     for size in (1, 4, 10, 40):

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 import bayes_rs as brs
+from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.priors.registry import WeakPrior
 
 START = np.datetime64("2020-01-01", "ns")
@@ -30,8 +31,8 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.scan or ["6-beam", "50-beam"]:
         scan = brs.load_scan(name)
-        noise = brs.find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
-        if not isinstance(noise, brs.NoiseBank):
+        noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+        if noise is None:
             print(f"{name}: no noise bank is shipped")
             continue
         records = make_year(scan, noise, arguments.records)
@@ -59,7 +60,7 @@ def main() -> None:
             )
 
 
-def make_year(scan: brs.Scan, noise: brs.NoiseBank, count: int) -> xr.Dataset:
+def make_year(scan: brs.Scan, noise: brs.Noise, count: int) -> xr.Dataset:
     """Return records whose variances have the noise of their own wind speed and direction."""
     rng = np.random.default_rng(1)
     wind_speed, yaw = rng.uniform(4.0, 20.0, count), rng.normal(0.0, 5.0, count)

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+from bayes_rs.fits.long_job import run_folder_fit
 
 import bayes_rs as brs
-from bayes_rs.fits.long_job import run_folder_fit
 from bayes_rs.records.record_store import store_records
 
 START = np.datetime64("2020-09-04", "ns")

@@ -6,11 +6,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import NotPositiveDefiniteError, WeakPrior, load_scan
-from bayes_rs.fits import campaign, campaign_parts, campaign_plan
+from bayes_rs.fits import campaign
+from bayes_rs.fits import parts as campaign_parts
+from bayes_rs.fits import plan as campaign_plan
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)
@@ -36,17 +37,16 @@ def make_records(n_record=N_RECORD):
 
 def die_at_write(number, *, half_written):
     """Kill this process when it writes its part's file of that number, before it or in the middle of it."""
-    write = pd.DataFrame.to_parquet
+    write = Path.write_bytes
     count = iter(range(1_000_000))
 
-    def writing(table, path, **options):
-        write(table, path, **options)
-        if Path(path).name.startswith(".part-") and next(count) == number:
-            with Path(path).open("rb+") as file:
-                file.truncate(Path(path).stat().st_size // 2 if half_written else 0)
+    def writing(path, content):
+        if path.name.startswith(".half.part-") and next(count) == number:
+            write(path, content[: len(content) // 2 if half_written else 0])
             os.kill(os.getpid(), signal.SIGKILL)
+        return write(path, content)
 
-    pd.DataFrame.to_parquet = writing
+    Path.write_bytes = writing
 
 
 def fail_at_part_three(shared, part):

@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
-from bayes_rs import MannTurbulence, calibrate, load_scan, simulate
 from bayes_rs.fits.long_job import run_folder_fit
+
+from bayes_rs import MannTurbulence, load_scan, simulate
+from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.records import record_store
 
 SCAN = load_scan("2-beam")

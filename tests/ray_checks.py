@@ -11,7 +11,8 @@ import pytest
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.file_options import FileOptions
+from bayes_rs.readers import read
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.records.making import make_records
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -46,18 +47,18 @@ def check_refused(folder, rays, file_format, match, **options):
     """A bad file gives one line with its name."""
     rays.to_netcdf(folder / "bad.nc", engine="h5netcdf")
     with pytest.raises(InputError, match=match) as caught:
-        read_radial_velocity(folder / "bad.nc", SIX, file_format=file_format, **options)
+        read(folder / "bad.nc", SIX, file_format=file_format, **options)
     assert "bad.nc" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def check_cut_off(file, read, recognises, n):
+def check_cut_off(file, reader, recognises, n):
     """Of `n` beginnings of a file, none is read and none is recognised."""
     whole = file.read_bytes()
     for length in np.linspace(0, len(whole) - 1, n).astype(int):
         file.write_bytes(whole[:length])
         with pytest.raises(InputError, match=file.name.replace(".", r"\.")):
-            read(file, SIX, resolve_format({}, SIX))
+            reader(file, SIX, resolve_format(FileOptions(), SIX))
         assert not recognises(file)
 
 
@@ -76,7 +77,7 @@ def check_changed(folder, rays, file_format, changes, attributes):
                 written[name].attrs[key] = value
     for kind in (file_format, "auto"):
         try:
-            message, back = "", read_radial_velocity(file, SIX, file_format=kind)
+            message, back = "", read(file, SIX, file_format=kind)
         except InputError as error:
             message, back = str(error), None
         assert back is None or set(back["beam"].values) <= set(SIX.beam)

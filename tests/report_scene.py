@@ -8,7 +8,7 @@ import xarray as xr
 from campaign_scene import OPTIONS, SCAN, make_records
 
 import bayes_rs as brs
-from bayes_rs import demo_file, fit_campaign, load_scan, read_radial_velocity, run_fit
+from bayes_rs import demo_file, fit_campaign, load_scan, read, run_fit
 
 EVIL = "<script>document.title = 'broken'</script>\"'&.csv"
 
@@ -16,7 +16,7 @@ EVIL = "<script>document.title = 'broken'</script>\"'&.csv"
 def demo_records():
     """The six records of the demo's six beams, the third without a beam, the fifth with one beam less."""
     scan = load_scan("6-beam")
-    records = brs.make_records(read_radial_velocity(demo_file("6-beam"), scan), scan)
+    records = brs.make_records(read(demo_file("6-beam"), scan), scan)
     records["flag"].values[2] = 1
     records["flag"].values[4, 3] = 1
     return records, scan

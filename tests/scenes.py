@@ -5,7 +5,7 @@ import xarray as xr
 
 from bayes_rs import MannTurbulence, Scan
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 
 TURBULENCE = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="test")
 
@@ -23,11 +23,11 @@ def point_scan(directions, distance=98.0, scan_duration=1.0, times=None) -> Scan
     )
 
 
-def plain_noise(scan: Scan, *, relative_variance: float = 0.06, reach: float = 80.0, bias: float = -0.1) -> NoiseModel:
+def plain_noise(scan: Scan, *, relative_variance: float = 0.06, reach: float = 80.0, bias: float = -0.1) -> Noise:
     """Noise whose correlation falls exponentially with the distance of the measured points from each other."""
     across = (scan.focus_distance[:, None] * scan.line_of_sight)[:, 1:]
     distance = np.linalg.norm(across[:, None] - across[None], axis=-1)
-    return NoiseModel(
+    return Noise(
         bias=np.full(scan.n_beam, bias),
         gain=design_matrix(scan),
         covariance=relative_variance * np.exp(-distance / reach),
@@ -60,8 +60,8 @@ def records_of(variance: np.ndarray, scan: Scan, *, yaw_deg: float = 0.0) -> xr.
     )
 
 
-def draw_variances(stress: np.ndarray, scan: Scan, noise: NoiseModel, rng: np.random.Generator) -> np.ndarray:
+def draw_variances(stress: np.ndarray, scan: Scan, noise: Noise, rng: np.random.Generator) -> np.ndarray:
     """Draw log-normal variances of records with these stresses, shape (n_record, 6), straight from the definition."""
-    covariance = np.log(1.0 + noise.covariance)
+    covariance = np.log(1.0 + noise.covariance[0])
     mean = np.log(stress @ design_matrix(scan).T) - 0.5 * np.diag(covariance)
     return np.exp(mean + rng.multivariate_normal(np.zeros(scan.n_beam), covariance, len(stress), method="eigh"))

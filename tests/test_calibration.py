@@ -10,29 +10,34 @@ import pytest
 import xarray as xr
 from noise_checks import check_noise
 
-from bayes_rs.calibration import store as noise_store
-from bayes_rs.calibration.box_noise import noise_from_boxes
-from bayes_rs.calibration.calibrating import METHODS, calibrate, noise_key
-from bayes_rs.calibration.choice import noise_for_records
-from bayes_rs.calibration.store import cache_folder, find_shipped_noise
 from bayes_rs.errors import InputError, MissingExtraError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise import store as noise_store
+from bayes_rs.noise.at_states import noise_key
+from bayes_rs.noise.box_noise import Boxes, noise_from_boxes
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.choice import noise_for_records
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.store import cache_folder, find_shipped_noise
 from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
 
-calibrate_module = sys.modules[calibrate.__module__]
+at_states_module = sys.modules[noise_key.__module__]
 box_noise_module = sys.modules[noise_from_boxes.__module__]
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="fu-2022")
 WIDE_EDDIES = MannTurbulence(dissipation=0.05, length_scale=100.0, gamma=3.2)  # few grid points for short records
 GRID = BoxGrid((128, 16, 16), (12.0, 24.0, 24.0))  # 1536 × 384 × 384 m: 5 ms a box
 BOXES = 400  # the fourth moments behind an error have long tails: with 60 boxes it can be out by half
-SHORT = {"method": "boxes", "wind_speed": 10.0, "duration": 60.0, "n_boxes": 2}  # a second
+SHORT = {"method": Boxes(n_boxes=2), "wind_speed": 10.0, "duration": 60.0}  # a second
+
+
+def short(**changes):
+    return {**SHORT, "method": Boxes(n_boxes=2, **changes)}
 
 
 def state(scan, *, wind_speed=10.0, yaw=0.0, duration=60.0):
@@ -50,7 +55,7 @@ def no_boxes(monkeypatch):
     def fail(*_arguments):
         raise AssertionError("a box was made")
 
-    monkeypatch.setitem(METHODS, "boxes", replace(METHODS["boxes"], make=fail))
+    monkeypatch.setattr(at_states_module, "noise_from_boxes", fail)
 
 
 def exact_covariance(record_state, maker):
@@ -90,23 +95,23 @@ class TestLaws:
         maker = BoxMaker(FLOW, GRID)
         exact, expected = exact_covariance(state(scan, yaw=0.2), maker)
         np.testing.assert_allclose(state(scan, yaw=0.2).expected_variance(maker), expected, rtol=1e-6)
-        sigmas = (noise.covariance - exact) / noise.standard_error
+        sigmas = (noise.covariance[0] - exact) / noise.standard_error[0]
         assert np.abs(sigmas).max() < 4.5  # 21 different entries, errors from 400 boxes
         assert 0.3 < np.sqrt(np.mean(sigmas**2)) < 2.0  # the stated errors are about right
 
     def test_stated_error_is_the_scatter_between_seeds(self):
         scan = load_scan("staring")
         models = [noise_from_boxes([state(scan)], FLOW, 10, seed, grid=GRID)[0] for seed in range(24)]
-        scatter = np.std([model.covariance[0, 0] for model in models], ddof=1)
-        stated = np.sqrt(np.mean([model.standard_error[0, 0] ** 2 for model in models]))
+        scatter = np.std([model.covariance[0, 0, 0] for model in models], ddof=1)
+        stated = np.sqrt(np.mean([model.standard_error[0, 0, 0] ** 2 for model in models]))
         assert 0.6 < stated / scatter < 1.6  # 24 values give a standard deviation to 15 %; 10 boxes an error to 24 %
 
     def test_dissipation_scales_out(self, six_beams):
         scan, noise = six_beams
         double = replace(FLOW, dissipation=2.0 * FLOW.dissipation)
         other = noise_from_boxes([state(scan, yaw=0.2)], double, BOXES, 1, grid=GRID)[0]
-        np.testing.assert_allclose(other.covariance, noise.covariance, rtol=1e-4)  # boxes are in single precision
-        np.testing.assert_allclose(other.bias, noise.bias, rtol=1e-9)
+        np.testing.assert_allclose(other.covariance[0], noise.covariance[0], rtol=1e-4)  # boxes are in single precision
+        np.testing.assert_allclose(other.bias[0], noise.bias[0], rtol=1e-9)
 
     def test_reversed_beams_have_the_same_noise(self):
         """n → −n at the same points: a beam that looks the other way from the other side."""
@@ -128,20 +133,20 @@ class TestLaws:
 
         there = Reversed(here.scan, 10.0, 0.0, 60.0)
         one, other = (noise_from_boxes([s], FLOW, boxes, 1, grid=GRID)[0] for s in (here, there))
-        np.testing.assert_array_equal(other.covariance, one.covariance)
-        np.testing.assert_array_equal(other.gain, one.gain)
-        np.testing.assert_array_equal(other.bias, one.bias)
+        np.testing.assert_array_equal(other.covariance[0], one.covariance[0])
+        np.testing.assert_array_equal(other.gain[0], one.gain[0])
+        np.testing.assert_array_equal(other.bias[0], one.bias[0])
 
     def test_gain_is_the_design_matrix_of_the_state(self, six_beams):
         scan, noise = six_beams
-        np.testing.assert_allclose(noise.gain, design_matrix(scan.with_yaw(0.2)), atol=1e-15)
+        np.testing.assert_allclose(noise.gain[0], design_matrix(scan.with_yaw(0.2)), atol=1e-15)
 
     def test_gain_times_the_record_tensor_is_the_expectation(self, six_beams):
         scan, noise = six_beams
         maker = BoxMaker(FLOW, GRID)
         variance = np.einsum("bi,ij,bj->b", scan.at_yaw(0.2), maker.tensor, scan.at_yaw(0.2))
         np.testing.assert_allclose(
-            (1.0 + noise.bias) * variance, state(scan, yaw=0.2).expected_variance(maker), rtol=1e-12
+            (1.0 + noise.bias[0]) * variance, state(scan, yaw=0.2).expected_variance(maker), rtol=1e-12
         )
 
     def test_longer_records_are_less_noisy(self):
@@ -149,14 +154,14 @@ class TestLaws:
         short, long = noise_from_boxes(
             [state(scan, duration=30.0), state(scan, duration=120.0)], FLOW, BOXES, 1, grid=GRID
         )
-        assert long.covariance[0, 0] < short.covariance[0, 0]
-        assert short.bias[0] < long.bias[0] < 0.0
+        assert long.covariance[0, 0, 0] < short.covariance[0, 0, 0]
+        assert short.bias[0, 0] < long.bias[0, 0] < 0.0
 
     def test_several_states_share_boxes_and_change_nothing(self, six_beams):
         scan, noise = six_beams
         states = [state(load_scan("4-beam")), state(scan, yaw=0.2), state(scan, wind_speed=7.0)]
         together = noise_from_boxes(states, FLOW, BOXES, 1, grid=GRID)
-        np.testing.assert_allclose(together[1].covariance, noise.covariance, rtol=1e-4)  # single precision
+        np.testing.assert_allclose(together[1].covariance[0], noise.covariance[0], rtol=1e-4)  # single precision
         assert [model.wind_speed for model in together] == [10.0, 10.0, 7.0]
 
     def test_relative_error_at_the_seed_flow_is_about_a_quarter(self):
@@ -177,7 +182,7 @@ class TestEveryNoiseModel:
     def test_bank(self, tmp_path):
         scan = load_scan("4-beam")
         bank = calibrate(scan, WIDE_EDDIES, **{**SHORT, "wind_speed": [5.0, 10.0]}, yaw_deg=[-20.0, 20.0], cache=False)
-        assert isinstance(bank, NoiseBank)
+        assert isinstance(bank, Noise)
         assert bank.wind_speed.tolist() == [5.0, 5.0, 10.0, 10.0]
         np.testing.assert_allclose(np.rad2deg(bank.yaw), [-20.0, 20.0, -20.0, 20.0])
         check_noise(bank, scan, tmp_path)
@@ -197,26 +202,29 @@ class TestEveryNoiseModel:
 class TestCalibrate:
     def test_one_state_is_a_model_with_the_scans_yaw(self):
         noise = calibrate(load_scan("2-beam", yaw_deg=10.0), WIDE_EDDIES, **SHORT, cache=False)
-        assert isinstance(noise, NoiseModel)
+        assert isinstance(noise, Noise)
         assert noise.yaw == pytest.approx(np.deg2rad(10.0))
 
     def test_a_generator_is_a_seed_and_is_not_cached(self, tmp_path):
-        one = calibrate(load_scan("2-beam"), WIDE_EDDIES, **SHORT, seed=np.random.default_rng(4), cache=tmp_path)
-        other = calibrate(load_scan("2-beam"), WIDE_EDDIES, **SHORT, seed=4, cache=False)
-        np.testing.assert_array_equal(one.covariance, other.covariance)
+        one = calibrate(load_scan("2-beam"), WIDE_EDDIES, **short(seed=np.random.default_rng(4)), cache=tmp_path)
+        other = calibrate(load_scan("2-beam"), WIDE_EDDIES, **short(seed=4), cache=False)
+        np.testing.assert_array_equal(one.covariance[0], other.covariance[0])
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize(
         ("change", "message"),
         [
             ({"method": "magic"}, "Unknown method of calibration 'magic': it must be one of theory, boxes"),
-            ({"n_boxes": 1}, "Invalid n_boxes 1: it must be a whole number of at least 2"),
             ({"wind_speed": -1.0}, "Invalid wind_speed -1.0 m/s"),
-            ({"wind_speed": []}, "give a number or a sequence of numbers"),
+            ({"wind_speed": []}, "Invalid wind_speed .*give a number or a sequence of numbers"),
+            ({"wind_speed": None}, r"Neither records nor wind_speed is given: give records, .* or wind_speed \(m/s\)"),
+            ({"records": xr.Dataset()}, "Both records and wind_speed are given"),
+            ({"tolerance": 0.01}, "Invalid tolerance with method 'boxes'"),
+            ({"present": [[True]]}, "Invalid present with method 'boxes'"),
             ({"duration": 0.0}, "Invalid duration 0.0 s"),
             ({"duration": 1.0}, "a record must hold at least two scans"),
-            ({"yaw_deg": np.inf}, "Invalid yaw"),
-            ({"seed": -1}, "Invalid seed -1"),
+            ({"yaw_deg": np.inf}, "Invalid yaw_deg"),
+            ({"method": Boxes(seed=-1)}, "Invalid seed -1"),
         ],
     )
     def test_message(self, change, message, tmp_path):
@@ -234,7 +242,7 @@ class TestCalibrate:
 
 
 class TestKey:
-    base = staticmethod(lambda: ([state(load_scan("2-beam"))], FLOW, {"method": "boxes", "n_boxes": 5, "seed": 1}))
+    base = staticmethod(lambda: ([state(load_scan("2-beam"))], FLOW, {"n_boxes": 5, "seed": 1}))
 
     def key(self, **changes):
         states, turbulence, options = self.base()
@@ -242,7 +250,7 @@ class TestKey:
             states = [changes.pop("state")]
         if "turbulence" in changes:
             turbulence = changes.pop("turbulence")
-        return noise_key(states, turbulence, **{**options, **changes})
+        return noise_key(states, turbulence, boxes=Boxes(**{**options, **changes}))
 
     @pytest.mark.parametrize(
         "changes",
@@ -266,16 +274,15 @@ class TestKey:
     def test_changes_with_every_ingredient(self, changes):
         assert self.key(**changes) != self.key()
 
-    @pytest.mark.parametrize("name", ["NOISE_VERSION", "generator_name", "grid_for", "METHODS"])
+    @pytest.mark.parametrize("name", ["NOISE_VERSION", "generator_name", "grid_for"])
     def test_changes_with_what_makes_the_numbers(self, name, monkeypatch):
         before = self.key()
         other = {
-            "NOISE_VERSION": calibrate_module.NOISE_VERSION + 1,
+            "NOISE_VERSION": at_states_module.NOISE_VERSION + 1,
             "generator_name": lambda: "hipersim 9.9",
             "grid_for": lambda _states, _turbulence: GRID,
-            "METHODS": {"boxes": replace(METHODS["boxes"], ingredients=lambda *_: {})},
         }[name]
-        where = calibrate_module if hasattr(calibrate_module, name) else box_noise_module
+        where = at_states_module if hasattr(at_states_module, name) else box_noise_module
         monkeypatch.setattr(where, name, other)
         assert self.key() != before
 
@@ -289,7 +296,9 @@ class TestKey:
 
 class TestCache:
     def make(self, folder, **changes):
-        return calibrate(load_scan("2-beam"), WIDE_EDDIES, **{**SHORT, "cache": folder, "seed": 3, **changes})
+        return calibrate(
+            load_scan("2-beam"), WIDE_EDDIES, **{**short(seed=changes.pop("seed", 3)), "cache": folder, **changes}
+        )
 
     def test_second_time_makes_no_box(self, tmp_path, monkeypatch):
         first = self.make(tmp_path / "new" / "folder")
@@ -306,13 +315,13 @@ class TestCache:
         self.make(tmp_path)
         monkeypatch.setattr(BoxMaker, "make", None)
         scan = replace(load_scan("2-beam"), name="my lidar")
-        noise = calibrate(scan, replace(WIDE_EDDIES, name="here"), **SHORT, seed=3, cache=tmp_path)
+        noise = calibrate(scan, replace(WIDE_EDDIES, name="here"), **short(seed=3), cache=tmp_path)
         assert noise.scan_name == "my lidar"
         assert noise.turbulence.name == "here"
 
     @pytest.mark.usefixtures("no_boxes")
     def test_false_is_no_cache(self, monkeypatch):
-        monkeypatch.setattr(calibrate_module, "from_cache", None)
+        monkeypatch.setattr(at_states_module, "from_cache", None)
         with pytest.raises(AssertionError, match="a box was made"):
             self.make(False)
 
@@ -325,8 +334,8 @@ class TestCache:
         assert "is damaged and is calculated again" in caplog.text
         words = "calculated again, because the cached file was damaged: it is not whole"
         assert second.details["cache"].startswith(words)
-        np.testing.assert_array_equal(second.covariance, first.covariance)
-        assert load_noise(file).models[0].to_dataset().identical(first.to_dataset())  # and the file is whole again
+        np.testing.assert_array_equal(second.covariance[0], first.covariance[0])
+        assert load_noise(file).to_dataset().identical(first.to_dataset())  # and the file is whole again
 
     def test_file_of_another_key_is_not_used(self, tmp_path, caplog):
         self.make(tmp_path, seed=4)
@@ -334,7 +343,7 @@ class TestCache:
         first = self.make(tmp_path)
         (file,) = set(tmp_path.iterdir()) - {other}
         file.write_bytes(other.read_bytes())
-        np.testing.assert_array_equal(self.make(tmp_path).covariance, first.covariance)
+        np.testing.assert_array_equal(self.make(tmp_path).covariance[0], first.covariance[0])
         assert "belongs to another key" in caplog.text
 
     def test_folder_that_cannot_be_written_is_no_failure(self, tmp_path, caplog):
@@ -358,21 +367,21 @@ class TestShipped:
     def test_found_without_a_box(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "hipersim", None)
         noise = calibrate(load_scan("6-beam"), FLOW, wind_speed=10.0, method="boxes")
-        assert isinstance(noise, NoiseModel)
+        assert isinstance(noise, Noise)
         assert noise.details["n_boxes"] >= 100
 
     def test_bank_and_one_state_of_it(self):
         scan = load_scan("pulsed-4-beam@probe=point")
         bank = calibrate(scan, FLOW, wind_speed=[4.5, 9.5], yaw_deg=[0.0, 20.0], method="boxes")
-        assert isinstance(bank, NoiseBank)
-        assert len(bank.models) == 4
+        assert isinstance(bank, Noise)
+        assert len(bank) == 4
         one = calibrate(scan, FLOW, wind_speed=9.5, yaw_deg=20.0, method="boxes")
-        np.testing.assert_array_equal(one.covariance, bank.models[3].covariance)
+        np.testing.assert_array_equal(one.covariance[0], bank.covariance[3])
 
     def test_some_of_its_beams(self):
         scan = load_scan("pulsed-4-beam@probe=point").select([2, 3])
         bank = find_shipped_noise(scan, FLOW, method="boxes")
-        assert isinstance(bank, NoiseBank)
+        assert isinstance(bank, Noise)
         bank.check_scan(scan)
 
     @pytest.mark.parametrize("name", ["zx-tm", "pulsed-4-beam"])
@@ -402,11 +411,13 @@ class TestShipped:
             assert found.method == method
             assert find_shipped_noise(scan, turbulence, **changes, method=method) is None
 
-    @pytest.mark.parametrize("changes", [{"seed": 2}, {"n_boxes": 10_000}, {"cache": False}])
+    @pytest.mark.parametrize(
+        "changes", [{"method": Boxes(seed=2)}, {"method": Boxes(n_boxes=10_000)}, {"cache": False}]
+    )
     def test_not_used_for_another_seed_or_more_boxes_or_without_cache(self, changes, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
         with pytest.raises(AssertionError, match="a box was made"):
-            calibrate(load_scan("staring"), FLOW, wind_speed=10.0, method="boxes", **changes)
+            calibrate(load_scan("staring"), FLOW, **{"wind_speed": 10.0, "method": "boxes", **changes})
 
 
 class TestForRecords:
@@ -415,49 +426,49 @@ class TestForRecords:
 
     @pytest.mark.usefixtures("no_boxes")
     def test_shipped(self):
-        noise, words = noise_for_records(
-            self.records([10.0, np.nan, 9.0], [0.0, 0.0, -3.0]), load_scan("6-beam"), FLOW, method="boxes"
+        noise = noise_for_records(
+            self.records([10.0, np.nan, 9.0], [0.0, 0.0, -3.0]), load_scan("6-beam"), FLOW, boxes=Boxes()
         )
-        assert isinstance(noise, NoiseModel)
-        assert words == "noise: shipped, fu-2022, method boxes, 1 state (10 m/s, yaw 0°)"
+        assert noise.in_words() == "noise: shipped, fu-2022, method boxes, 1 state (10 m/s, yaw 0°, L 61 m)"
 
     @pytest.mark.usefixtures("no_boxes")
     def test_shipped_bank_for_some_of_the_beams(self):
         scan = load_scan("pulsed-4-beam@probe=point").select([2, 3])
         speeds = np.append(np.linspace(3.0, 14.0, 19), 30.0)
-        noise, words = noise_for_records(self.records(speeds, np.linspace(-50.0, 50.0, 20)), scan, FLOW, method="boxes")
-        assert isinstance(noise, NoiseBank)
+        yaws = np.linspace(-50.0, 50.0, 20)
+        noise = noise_for_records(self.records(speeds, yaws), scan, FLOW, boxes=Boxes())
+        words = noise.in_words(speeds, np.deg2rad(yaws))
         assert noise.beam.tolist() == [2, 3]
-        assert words.startswith("noise: shipped, fu-2022, method boxes, 35 states (3 to 14 m/s, yaw -60 to 60°)")
-        assert words.endswith("1 of 20 records are far from all of them and use the nearest")
+        assert words.startswith(
+            "noise: shipped, fu-2022, method boxes, 35 states (3 to 14 m/s, yaw -60 to 60°, L 61 m)"
+        )
+        assert words.endswith("1 of 20 records are outside and use its edge")
 
     def test_calibrated_where_the_records_are(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
-        monkeypatch.setitem(METHODS, "boxes", replace(METHODS["boxes"], make=self.quick))
+        monkeypatch.setattr(at_states_module, "noise_from_boxes", self.quick)
         records = self.records([5.0, 5.2, 9.9, 10.3], [11.0, 12.0, 25.0, 28.0], duration=60.0)
-        noise, words = noise_for_records(records, load_scan("2-beam"), WIDE_EDDIES, method="boxes")
+        noise = noise_for_records(records, load_scan("2-beam"), WIDE_EDDIES, boxes=Boxes())
         assert np.unique(noise.wind_speed).tolist() == [round(10.0 / 1.4**2, 6), 10.0]
         np.testing.assert_allclose(np.unique(np.rad2deg(noise.yaw)), [20.0])
-        assert "calibrated" in words
-        assert "far from" not in words
+        assert noise.in_words().startswith("noise: calculated, ")
 
     @pytest.mark.usefixtures("no_boxes")
     def test_far_from_shipped_without_the_generator(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "hipersim", None)
-        noise, words = noise_for_records(
-            self.records([4.0, 5.0], [0.0, 0.0]), load_scan("6-beam"), FLOW, method="boxes"
-        )
-        assert noise.wind_speed == 10.0
-        assert words.endswith("; 2 of 2 records are far from all of them and use the nearest")
+        noise = noise_for_records(self.records([4.0, 5.0], [0.0, 0.0]), load_scan("6-beam"), FLOW, boxes=Boxes())
+        assert noise.wind_speed.tolist() == [10.0]
+        words = noise.in_words([4.0, 5.0], [0.0, 0.0])
+        assert words.endswith("; 2 of 2 records are outside and use its nearest state")
 
     def test_nothing_suitable_and_no_generator(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "hipersim", None)
         with pytest.raises(MissingExtraError, match="pip install"):
-            noise_for_records(self.records([4.0], [0.0]), load_scan("zx-300"), FLOW, method="boxes")
+            noise_for_records(self.records([4.0], [0.0]), load_scan("zx-300"), FLOW, boxes=Boxes())
 
     def test_no_wind_speed(self):
         with pytest.raises(InputError, match="No record has a wind speed and direction"):
-            noise_for_records(self.records([np.nan], [0.0]), load_scan("6-beam"), FLOW, method="boxes")
+            noise_for_records(self.records([np.nan], [0.0]), load_scan("6-beam"), FLOW, boxes=Boxes())
 
     @staticmethod
     def quick(states, turbulence, _n_boxes, seed, progress=None):

@@ -24,17 +24,16 @@ from bayes_rs import (
     InputError,
     MannTurbulence,
     MissingExtraError,
-    NoiseBank,
     Nuisances,
     fit,
     fit_campaign,
     load_scan,
     read_summary,
-    summary,
-    theory_noise,
 )
 from bayes_rs.fits import campaign, campaign_parts, campaign_plan, tables
-from bayes_rs.fits.result import FLAGS, group
+from bayes_rs.fits.flags import FLAGS
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -59,7 +58,7 @@ def result(records):
 
 @pytest.fixture(scope="module")
 def table(result):
-    return summary(result, derived=("ti", "tke"))
+    return result.summary(derived=("ti", "tke"))
 
 
 @pytest.fixture(scope="module")
@@ -122,16 +121,16 @@ class TestNumbers:
         same(read_summary(whole), table)
 
     def test_emcee_had_a_share_in_it(self, result):
-        assert set(group(result, "sample_stats")["sampler"].values) == {"", "direct", "emcee"}
+        assert set(result["sample_stats"]["sampler"].values) == {"", "direct", "emcee"}
 
     def test_the_posterior_table_is_that_of_fit(self, whole, result):
         found = pd.read_parquet(whole / "posterior")
-        stats = group(result, "sample_stats")
+        stats = result["sample_stats"]
         for name in ("acceptance_rate", "n_step", "pareto_k", "misfit"):
             np.testing.assert_array_equal(found[name], stats[name].values)
         np.testing.assert_array_equal(found["sampler"], stats["sampler"].values)
         np.testing.assert_array_equal(found["flag_bits"], stats["flag"].values)
-        np.testing.assert_array_equal(found["time"], group(result, "observed_data")["time"].values)
+        np.testing.assert_array_equal(found["time"], result["observed_data"]["time"].values)
 
     def test_the_target_sonic_has_the_numbers_of_fit_too(self, tmp_path):
         scan, flow = load_scan("6-beam"), MannTurbulence(0.05, 61.0, 3.2)
@@ -139,11 +138,11 @@ class TestNumbers:
         records = make_records(4)
         options = {"noise": noise, "seed": 3, "target_ess": 200, "target": "sonic"}
         done = fit_campaign(records, scan, tmp_path / "sonic", **options)
-        same(done.summary(), summary(fit(records, scan, sampler="auto", **options)))
+        same(done.summary(), fit(records, scan, sampler="auto", **options).summary())
 
     def test_the_covariances_are_those_of_the_draws(self, whole, result):
         found = pd.read_parquet(whole / "posterior")
-        draws = group(result, "posterior")["stress"].transpose("record", "component", "chain", "draw").values
+        draws = result["posterior"]["stress"].transpose("record", "component", "chain", "draw").values
         for record in (0, 4, 22):
             expected = np.cov(draws[record].reshape(6, -1))
             for i, one in enumerate(STRESSES):
@@ -158,7 +157,7 @@ class TestNumbers:
         if kind == "float32":
             folder = fit_campaign(records, SCAN, tmp_path / "out", draws=kind, **OPTIONS).folder
         found = pd.read_parquet(folder / "draws")
-        posterior = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+        posterior = result["posterior"]["stress"].transpose("record", "chain", "draw", "component").values
         fitted = np.setdiff1d(np.arange(N_RECORD), UNFITTED)
         expected = posterior[fitted].reshape(-1, 6).astype(kind)
         np.testing.assert_array_equal(found[list(STRESSES)].to_numpy(), expected)
@@ -185,18 +184,18 @@ class TestNumbers:
         }
         some = records.isel(record=slice(0, 7))
         found = fit_campaign(some, SCAN, tmp_path / "out", prob=0.5, **options, **OPTIONS)
-        same(found.summary(), summary(fit(some, SCAN, **options, **OPTIONS), prob=0.5))
+        same(found.summary(), fit(some, SCAN, **options, **OPTIONS).summary(prob=0.5))
 
     def test_records_without_time(self, records, tmp_path):
         some = records.isel(record=slice(0, 7)).drop_vars("time")
         found = fit_campaign(some, SCAN, tmp_path / "out", **OPTIONS)
-        same(found.summary(), summary(fit(some, SCAN, sampler="auto", **OPTIONS)))
+        same(found.summary(), fit(some, SCAN, sampler="auto", **OPTIONS).summary())
         assert found.summary()["time"].isna().all()
 
     def test_records_outside_the_noise_bank_are_marked(self, records, tmp_path):
         some = records.isel(record=slice(0, 4)).assign(wind_speed=("record", [10.0, 30.0, np.nan, 10.0]))
         slower = NOISE.__class__(**{**vars(NOISE), "wind_speed": 9.0})
-        options = {**OPTIONS, "noise": NoiseBank((slower, NOISE))}
+        options = {**OPTIONS, "noise": Noise.join((slower, NOISE))}
         folder = fit_campaign(some, SCAN, tmp_path / "out", **options).folder
         assert pd.read_parquet(folder / "posterior")["outside_noise"].tolist() == [False, True, False, False]
         assert json.loads((folder / "run.json").read_text())["n_outside_noise"] == 1
@@ -226,7 +225,7 @@ class TestRecordsThatCannotBeFitted:
         some = records.isel(record=EMPTY_PART)
         found = fit_campaign(some, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
         assert found.n_fitted == 0
-        same(found.summary(), summary(fit(some, SCAN, **OPTIONS)))
+        same(found.summary(), fit(some, SCAN, **OPTIONS).summary())
         assert len(pd.read_parquet(found.folder / "draws")) == 0
 
     def test_every_part_has_the_same_types(self, whole):
@@ -292,7 +291,7 @@ class TestMonths:
 
     def test_each_can_be_read_alone(self, straddling, tmp_path):
         found = fit_campaign(straddling, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
-        same(found.summary(), summary(fit(straddling, SCAN, sampler="auto", **OPTIONS)))
+        same(found.summary(), fit(straddling, SCAN, sampler="auto", **OPTIONS).summary())
         for name in ("summary", "posterior", "draws"):
             for month, expected in (("2020-02", range(8)), ("2020-03", range(8, N_RECORD))):
                 some = pd.read_parquet(found.folder / name / f"month={month}")
@@ -311,7 +310,7 @@ class TestMonths:
 class TestZarr:
     def test_the_store_holds_the_draws_of_fit(self, records, result, plain, tmp_path):
         folder = fit_campaign(records, SCAN, tmp_path / "out", draws="zarr", **OPTIONS).folder
-        posterior = group(result, "posterior")["stress"].transpose("component", "record", "chain", "draw").values
+        posterior = result["posterior"]["stress"].transpose("component", "record", "chain", "draw").values
         with xr.open_dataset(folder / "draws.zarr", engine="zarr", chunks=None) as found:
             for name, expected in zip(STRESSES, posterior.reshape(6, N_RECORD, -1), strict=True):
                 np.testing.assert_array_equal(found[name].values, expected.astype(np.float32))

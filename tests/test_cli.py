@@ -678,7 +678,7 @@ class TestBadOutput:
         folder.mkdir()
         (folder / "chapter.tex").write_text("years of work")
         answer = fit(inputs / "good.csv", "--overwrite", output=folder)
-        refusal(*answer, str(folder), "was not made by bayes-rs (it has no run.json)", "remove it yourself")
+        refusal(*answer, str(folder), "was not made by bayes-rs (it has no fingerprints.jsonl)", "remove it yourself")
         assert (folder / "chapter.tex").read_text() == "years of work"
 
     def test_a_place_that_cannot_be_written(self, fit, inputs, tmp_path):
@@ -728,7 +728,7 @@ class TestBadOptions:
         def computed(*_args, **_options):
             pytest.fail("computed before the output file was checked")
 
-        monkeypatch.setattr("bayes_rs.calibration.calibrating.calibrate", computed)
+        monkeypatch.setattr("bayes_rs.noise.calibrating.calibrate", computed)
         answer = bayes_rs("calibrate", "staring", "--wind-speed", 10, "-o", inputs / "noise.nc")
         refusal(*answer, "noise.nc", "exists", "--overwrite")
 

@@ -45,7 +45,7 @@ class TestWind:
         done = run("wind", file, *ANGLE, "--heading", 350, "--hub-height", 80, "-o", out)
         assert done.exit_code == 0, done.output
         table = pd.read_csv(out, parse_dates=["time"])
-        records = brs.make_records(brs.read_radial_velocity(file, scan), scan)
+        records = brs.make_records(brs.read(file, scan), scan)
         flow = brs.load_turbulence("fu-2022")
         wind = brs.mean_wind(records, scan, turbulence=flow, heading_deg=350.0)
         for name in ("wind_speed", "wind_speed_sd", "yaw", "yaw_sd", "wind_direction"):
@@ -68,7 +68,7 @@ class TestRecords:
         assert done.exit_code == 0, done.output
         records = xr.load_dataset(out)
         expected = brs.make_records(
-            brs.read_radial_velocity(file, scan),
+            brs.read(file, scan),
             scan,
             quality=brs.QualityRules(
                 velocity_range=(-100.0, 0.0), min_wind_speed=50.0, trend_level=0.01, exclude=["low_wind"]

@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, WeakPrior, cli, directions, load_scan, prior_sensitivity, run_fit
+from bayes_rs import STRESSES, WeakPrior, cli, load_scan, prior_sensitivity, run_fit
 from bayes_rs.fits.prior_check import COLUMNS
-from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
 
 FACTORS = ("--factor", "0.5", "--factor", "3")
 
@@ -144,7 +144,7 @@ class TestLeastSeenDirection:
         line, result = words_of_fit(records, scan, noise, tmp_path)
         assert line.startswith("contraction along what the scan sees least, ")
         assert which in line
-        table = directions(result, scan)
+        table = result.directions()
         middle = table[table["weight"] == table["weight"].min()].groupby("direction").median(numeric_only=True)
         least = middle.sort_values("contraction_shape").iloc[0]
         said = line.rsplit(": ", 1)[1].split(", of the shape ")
@@ -158,7 +158,7 @@ class TestLeastSeenDirection:
         records = records_of(draw_variances(WeakPrior().draw(3, rng), scan, noise, rng), scan)
         records["flag"][1] = 1
         line, result = words_of_fit(records, scan, noise, tmp_path)
-        assert np.isnan(directions(result, scan)["contraction"]).sum() == 6
+        assert np.isnan(result.directions()["contraction"]).sum() == 6
         assert "nan" not in line
 
     def test_nothing_is_said_where_nothing_was_fitted(self, tmp_path):

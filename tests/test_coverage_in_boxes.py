@@ -9,9 +9,11 @@ import pytest
 from scenes import records_of
 from scipy import stats
 
-from bayes_rs import calibrate, fit, load_noise, load_scan, load_turbulence
+from bayes_rs import fit, load_scan, load_turbulence
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.models import models_folder
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.file import load_noise
 from bayes_rs.priors.registry import WeakPrior
 
 SCENES = {
@@ -64,7 +66,7 @@ def test_ignoring_the_correlation_of_the_beams_is_caught(relative_variances):
 
     scan = load_scan("50-beam")
     noise = load_noise(models_folder("noise") / "50-beam.nc")
-    independent = replace(noise, covariance=np.diag(np.diag(noise.covariance)), standard_error=None)
+    independent = replace(noise, covariance=np.diag(np.diag(noise.covariance[0])), standard_error=None)
     rank = ranks("50-beam", relative_variances, independent, scan, seed=32)
     inside = np.count_nonzero(np.abs(rank[:, 0] - 0.5) < 0.45)
     assert inside < stats.binom.ppf(1e-6, len(rank), 0.9)

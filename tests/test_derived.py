@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_rs import (
-    InputError,
-    calibrate,
-    fit,
-    load_scan,
-    load_turbulence,
-    plot_lumley,
-    radial_variance,
-    rotate_stress,
-)
+from bayes_rs import InputError, fit, load_scan, load_turbulence, lumley, radial_variance, rotate_stress
 from bayes_rs.fits.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
+from bayes_rs.noise.calibrating import calibrate
 
 ISOTROPIC = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
 ONE_COMPONENT = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -109,26 +101,26 @@ def result():
 
 class TestPlot:
     def test_records_are_points_within_the_triangle(self, result):
-        axis = plot_lumley(result).axes[0]
+        axis = lumley(result).axes[0]
         points = axis.containers[0].lines[0].get_xydata()
         assert len(points) == 1  # the other record was not fitted
         xi, eta = points[0]
         assert abs(xi) < eta < np.sqrt(1 / 27 + 2 * xi**3)
 
     def test_draws_of_a_record(self, result):
-        axis = plot_lumley(result, 0).axes[0]
+        axis = lumley(result, 0).axes[0]
         draws = axis.lines[2].get_xydata()
         assert 500 < len(draws) <= 4000
         assert (draws[:, 1] <= np.sqrt(1 / 27 + 2 * draws[:, 0] ** 3) + 1e-9).all()
 
     def test_a_record_that_was_not_fitted(self, result):
         with pytest.raises(InputError, match="Record 1 was not fitted"):
-            plot_lumley(result, 1)
+            lumley(result, 1)
 
     def test_no_fitted_record_is_a_figure_too(self, result):
         broken = result.copy(deep=True)
         broken["posterior/stress"][:] = np.nan
-        axis = plot_lumley(broken).axes[0]
+        axis = lumley(broken).axes[0]
         assert axis.get_title().startswith("0 records")
         assert len(axis.containers[0].lines[0].get_xydata()) == 0
 
@@ -137,13 +129,13 @@ class TestPlot:
         """Axisymmetric, uu = 2 vv = 2 ww: b has the eigenvalues 1/6, −1/12, −1/12, so ξ = η = 1/12."""
         rod, ball = [2.0, 1.0, 1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
         for truth in (rod, [rod, ball]):  # record 1 was not fitted
-            axis = plot_lumley(result, record, truth=truth).axes[0]
+            axis = lumley(result, record, truth=truth).axes[0]
             (marks,) = [line for line in axis.lines if line.get_label() == "truth"]
             np.testing.assert_allclose(marks.get_xydata(), [[1.0 / 12.0, 1.0 / 12.0]], rtol=1e-12)
             assert "truth" in [text.get_text() for text in axis.get_legend().get_texts()]
-        without = plot_lumley(result, record).axes[0]
+        without = lumley(result, record).axes[0]
         assert not any(line.get_label() == "truth" for line in without.lines)
 
     def test_truth_of_the_wrong_shape(self, result):
         with pytest.raises(InputError, match=r"Invalid truth of shape \(3,\): the shape must be \(6\)"):
-            plot_lumley(result, truth=[1.0, 0.5, 0.3])
+            lumley(result, truth=[1.0, 0.5, 0.3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, direction_words, directions, fit, load_scan
+from bayes_rs import InputError, WeakPrior, direction_words, fit, load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 from bayes_rs.priors.registry import FlatPrior
@@ -24,7 +24,7 @@ def result_of(name, prior="weak", yaw_deg=0.0, n_record=2, **overrides):
 @pytest.mark.parametrize("name", ["staring", "4-beam", "6-beam", "50-beam"])
 def test_directions_are_an_orthonormal_basis_and_the_unseen_change_no_beam(name):
     scan, result = result_of(name, yaw_deg=YAW)
-    table = directions(result, scan)
+    table = result.directions()
     assert len(table) == 12
     basis = table[table["record"] == 0][list(STRESSES)].to_numpy()
     np.testing.assert_allclose(basis @ basis.T, np.eye(6), atol=1e-12)
@@ -39,7 +39,7 @@ def test_directions_are_an_orthonormal_basis_and_the_unseen_change_no_beam(name)
 def test_contraction_is_that_of_the_components_of_turned_draws():
     """The slow way: every draw turned into the lidar's frame, then variances of its components."""
     scan, result = result_of("4-beam", yaw_deg=YAW)
-    table = directions(result, scan)
+    table = result.directions()
     turn = np.array([[np.cos(a := np.deg2rad(-YAW)), np.sin(a), 0.0], [-np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
     prior = rotate_stress(result["prior/stress"].values.reshape(-1, 6), turn)
     for record in (0, 1):
@@ -60,7 +60,7 @@ def test_an_unseen_direction_keeps_the_width_of_the_prior_where_nothing_binds_it
     With 200 effective draws a ratio of variances has a standard deviation of a tenth.
     """
     scan, result = result_of("staring", prior=FlatPrior(bound=5.0))
-    rows = directions(result, scan)
+    rows = result.directions()
     free = rows[["vv", "ww"]].pow(2).sum(axis=1) > 1.0 - 1e-9
     assert free.sum() == 4
     assert not rows[free]["seen"].any()
@@ -76,4 +76,4 @@ def test_words():
 def test_another_scan_is_refused():
     _, result = result_of("6-beam")
     with pytest.raises(InputError, match="are not all in scan '2-beam'"):
-        directions(result, load_scan("2-beam"))
+        result.directions()

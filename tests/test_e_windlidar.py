@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from ray_checks import CHANGES, FLOW, SIX, check_changed, check_cut_off, check_refused, check_same_records
 from ray_files import e_windlidar, rays_of
 
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.readers import read
 from bayes_rs.readers.e_windlidar import e_windlidar_rays, read_e_windlidar, recognises_e_windlidar
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.simulation.virtual import simulate
@@ -52,7 +53,7 @@ class TestRoundTrip:
         file = tmp_path / "noon.nc"
         e_windlidar(table, time=time).to_netcdf(file, engine="h5netcdf")
         assert recognises_e_windlidar(file)
-        back = read_radial_velocity(file, SIX)
+        back = read(file, SIX)
         check_same_records(back, series)
         assert (back["cnr"] == -12.5).all()
         assert json.loads(back.attrs["read_report"])["files"][0]["format"] == "e-windlidar"
@@ -61,7 +62,7 @@ class TestRoundTrip:
         renamed = e_windlidar(table).rename(range="gate_distance").rename_dims(time="ray", gate_distance="gate")
         renamed = renamed.rename(gate_distance="range").reset_coords().transpose()
         renamed.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        back = read(tmp_path / "noon.nc", SIX)
         np.testing.assert_array_equal(np.sort(back["radial_velocity"]), np.sort(series["radial_velocity"]))
 
     def test_rays_in_scans(self, tmp_path, series, table):
@@ -69,7 +70,7 @@ class TestRoundTrip:
         flat = e_windlidar(table).reset_coords()
         folded = flat.coarsen(time=6).construct(time=("scan", "ray"))
         folded.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        back = read(tmp_path / "noon.nc", SIX)
         np.testing.assert_array_equal(back["radial_velocity"], self.sorted_like(back, series))
 
     @staticmethod
@@ -88,7 +89,7 @@ class TestRoundTrip:
             range=("range", [50.0, 100.0, 150.0, 200.0], {"units": "m"}),
         )
         fixed.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        back = read(tmp_path / "noon.nc", SIX)
         assert np.unique(back["beam"]).tolist() == [5, 11]
         np.testing.assert_array_equal(back["radial_velocity"][::2], table.velocity[up, 1])
 
@@ -97,16 +98,15 @@ class TestRoundTrip:
         e_windlidar(start, accumulation=2.0).to_netcdf(tmp_path / "variable.nc", engine="h5netcdf")
         e_windlidar(start).assign_attrs(accumulation_time="2").to_netcdf(tmp_path / "attribute.nc", engine="h5netcdf")
         for name in ("variable.nc", "attribute.nc"):
-            plain = read_radial_velocity(tmp_path / name, SIX)["time"].values
+            plain = read(tmp_path / name, SIX)["time"].values
             for stamp, shift in (("start", 0), ("middle", 1), ("end", 2)):
-                moved = read_radial_velocity(tmp_path / name, SIX, time_stamp=stamp)["time"].values
+                moved = read(tmp_path / name, SIX, time_stamp=stamp)["time"].values
                 assert (plain - moved == np.timedelta64(shift, "s")).all()
 
     def test_the_sign_is_an_option(self, tmp_path, short):
         short.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
         away, towards = (
-            read_radial_velocity(tmp_path / "noon.nc", SIX, positive=sign)["radial_velocity"].values
-            for sign in ("away", "towards")
+            read(tmp_path / "noon.nc", SIX, positive=sign)["radial_velocity"].values for sign in ("away", "towards")
         )
         np.testing.assert_array_equal(away, -towards)
 
@@ -134,7 +134,7 @@ class TestBadFiles:
         refused(tmp_path, rays, "Invalid time 'soon' in ray 4 of file")
         rays = rays.assign(time=("time", np.where(np.arange(12) == 3, "", text).astype(object))).reset_coords()
         rays.to_netcdf(tmp_path / "gap.nc", engine="h5netcdf")
-        back = read_radial_velocity(tmp_path / "gap.nc", SIX)
+        back = read(tmp_path / "gap.nc", SIX)
         assert json.loads(back.attrs["read_report"])["rows_without_time"] == 1
 
     def test_angles_of_no_lidar(self, tmp_path, short):
@@ -162,7 +162,7 @@ class TestBadFiles:
 def test_rays_keep_what_the_file_says_of_them(tmp_path, short):
     short.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
     up = Scan("up", np.array([[0.0, 0.0, 1.0]]), np.array([100.0]), np.zeros(1), scan_duration=30.0)
-    rays = e_windlidar_rays(tmp_path / "noon.nc", resolve_format({}, up))
+    rays = e_windlidar_rays(tmp_path / "noon.nc", resolve_format(FileOptions(), up))
     assert (rays.kind, rays.row_word, rays.row[0], rays.status) == ("e-windlidar", "ray", 1, None)
     assert rays.accumulation_time is None
     assert np.linalg.norm(rays.direction, axis=1) == pytest.approx(np.ones(12), abs=1e-12)

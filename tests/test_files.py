@@ -19,7 +19,7 @@ from ray_files import six_beam
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import read_radial_velocity, stream_radial_velocity
+from bayes_rs.readers import read, stream
 from bayes_rs.readers.folders import find_files
 from bayes_rs.records.making import make_records
 
@@ -61,7 +61,7 @@ def folder(tmp_path, day) -> Path:
 
 class TestFolders:
     def test_folder(self, folder, day):
-        series = read_radial_velocity(folder, SIX)
+        series = read(folder, SIX)
         assert series.sizes["sample"] == day.sizes["sample"]
         assert json.loads(series.attrs["source_files"]) == [
             "part0.csv", "part1.csv", "part2.csv", "part3.csv", "part4.csv.gz", "part5.csv",
@@ -83,7 +83,7 @@ class TestFolders:
         ("pattern", "n_file"), [("month?/part*.csv", 5), ("**/part[0-2].csv", 3), ("month1/*.csv.*", 1)]
     )
     def test_patterns(self, folder, pattern, n_file):
-        series = read_radial_velocity(str(folder / pattern), SIX)
+        series = read(str(folder / pattern), SIX)
         assert len(json.loads(series.attrs["source_files"])) == n_file
 
     def test_no_file_twice(self, folder):
@@ -93,25 +93,25 @@ class TestFolders:
     def test_a_file_whose_name_looks_like_a_pattern(self, tmp_path, day):
         file = tmp_path / "part[1].csv"
         long_frame(day).to_csv(file, index=False)
-        assert read_radial_velocity(file, SIX).sizes == day.sizes
+        assert read(file, SIX).sizes == day.sizes
 
     def test_pattern_without_a_match(self, tmp_path):
         with pytest.raises(InputError, match=r"Pattern '.*\*.csv' matches no file: check the path and the pattern"):
-            read_radial_velocity(str(tmp_path / "*.csv"), SIX)
+            read(str(tmp_path / "*.csv"), SIX)
 
     def test_folder_without_a_readable_file(self, tmp_path):
         (tmp_path / "a.doc").touch()
         with pytest.raises(
             InputError, match=r"has no file that can be read: its files are 0 hidden, .* 1 with another"
         ):
-            read_radial_velocity(tmp_path, SIX)
+            read(tmp_path, SIX)
 
     @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
     def test_a_pipe_is_no_file(self, tmp_path):
         """Opening one would wait for ever."""
         os.mkfifo(tmp_path / "a.csv")
         with pytest.raises(InputError, match="does not exist"):
-            read_radial_velocity(tmp_path / "a.csv", SIX)
+            read(tmp_path / "a.csv", SIX)
 
 
 class TestBadFiles:
@@ -123,10 +123,10 @@ class TestBadFiles:
 
     def test_error(self, files):
         with pytest.raises(InputError, match=r"part3\.csv"):
-            read_radial_velocity(files, SIX)
+            read(files, SIX)
 
     def test_skip(self, files):
-        series = read_radial_velocity(files, SIX, on_bad_file="skip")
+        series = read(files, SIX, on_bad_file="skip")
         assert len(json.loads(series.attrs["source_files"])) == 4
         skipped = report_of(series)["files_skipped"]
         assert [entry["name"] for entry in skipped] == ["part3.csv", "part5.csv"]
@@ -135,23 +135,23 @@ class TestBadFiles:
 
     def test_a_missing_file_is_never_skipped(self, files):
         with pytest.raises(InputError, match="does not exist"):
-            read_radial_velocity([files, files / "part9.csv"], SIX, on_bad_file="skip")
+            read([files, files / "part9.csv"], SIX, on_bad_file="skip")
 
     def test_all_bad(self, tmp_path):
         (tmp_path / "a.csv").touch()
         (tmp_path / "b.csv").touch()
         message = r"None of 2 files could be read; the first: File '.*a.csv' is empty"
         with pytest.raises(InputError, match=message):
-            read_radial_velocity(tmp_path, SIX, on_bad_file="skip")
+            read(tmp_path, SIX, on_bad_file="skip")
         with pytest.raises(InputError, match=message):
-            list(stream_radial_velocity(tmp_path, SIX, on_bad_file="skip"))
+            list(stream(tmp_path, SIX, on_bad_file="skip"))
 
     def test_a_wrong_option_is_not_a_bad_file(self, files):
         with pytest.raises(InputError, match="Unknown positive 'up'"):
-            read_radial_velocity(files, SIX, on_bad_file="skip", positive="up")
+            read(files, SIX, on_bad_file="skip", positive="up")
 
     def test_stream(self, files):
-        parts = list(stream_radial_velocity(files, SIX, on_bad_file="skip", chunk_rows=200))
+        parts = list(stream(files, SIX, on_bad_file="skip", chunk_rows=200))
         skipped = [entry["name"] for part in parts for entry in report_of(part)["files_skipped"]]
         assert sorted(skipped) == ["part3.csv", "part5.csv"]
 
@@ -179,8 +179,8 @@ class TestStream:
     @pytest.mark.parametrize("chunk_rows", [7, 100, 1000, 10**6])
     @pytest.mark.parametrize("period", [None, 60.0])
     def test_is_the_series_read_whole(self, folder, chunk_rows, period):
-        parts = list(stream_radial_velocity(folder, SIX, chunk_rows=chunk_rows, period=period))
-        assert_streams_to(parts, read_radial_velocity(folder, SIX))
+        parts = list(stream(folder, SIX, chunk_rows=chunk_rows, period=period))
+        assert_streams_to(parts, read(folder, SIX))
         assert (len(parts) > 1) == (chunk_rows < 1200)
         if period:
             for one, two in itertools.pairwise(parts):
@@ -199,38 +199,38 @@ class TestStream:
                 part.to_netcdf(file)
             else:
                 write_hpl(file, part, SIX)
-        parts = list(stream_radial_velocity(tmp_path, SIX, chunk_rows=300))
+        parts = list(stream(tmp_path, SIX, chunk_rows=300))
         assert len(parts) > 1
-        assert_streams_to(parts, read_radial_velocity(tmp_path, SIX))
+        assert_streams_to(parts, read(tmp_path, SIX))
 
     def test_wide(self, tmp_path):
         scan = replace(SIX, beam_time=np.zeros(6))
         wide_frame(series_of(scan, n_scan=200)).to_csv(tmp_path / "a.csv", index=False)
         assert_streams_to(
-            list(stream_radial_velocity(tmp_path / "a.csv", scan, chunk_rows=20)),
-            read_radial_velocity(tmp_path / "a.csv", scan),
+            list(stream(tmp_path / "a.csv", scan, chunk_rows=20)),
+            read(tmp_path / "a.csv", scan),
         )
 
     def test_one_file_per_beam(self, tmp_path, day):
         """All files overlap from end to end."""
         for beam in range(6):
             long_frame(day.isel(sample=day["beam"].values == beam)).to_csv(tmp_path / f"{beam}.csv", index=False)
-        parts = list(stream_radial_velocity(tmp_path, SIX, chunk_rows=50))
+        parts = list(stream(tmp_path, SIX, chunk_rows=50))
         assert len(parts) > 5
-        assert_streams_to(parts, read_radial_velocity(tmp_path, SIX))
+        assert_streams_to(parts, read(tmp_path, SIX))
 
     def test_files_that_overlap_with_repeated_samples(self, tmp_path, day):
         long_frame(day.isel(sample=slice(0, 1500))).to_csv(tmp_path / "b.csv", index=False)
         long_frame(day.isel(sample=slice(1200, 2400))).to_csv(tmp_path / "a.csv", index=False)
-        whole = read_radial_velocity(tmp_path, SIX)
+        whole = read(tmp_path, SIX)
         assert report_of(whole)["duplicates_dropped"] == 300
-        assert_streams_to(list(stream_radial_velocity(tmp_path, SIX, chunk_rows=70)), whole)
+        assert_streams_to(list(stream(tmp_path, SIX, chunk_rows=70)), whole)
 
     def test_records_are_those_of_the_whole(self, folder):
         """With the period of the records no record is torn."""
         scan = SIX
-        whole = make_records(read_radial_velocity(folder, scan), scan, duration=60.0)
-        parts = list(stream_radial_velocity(folder, scan, chunk_rows=500, period=60.0))
+        whole = make_records(read(folder, scan), scan, duration=60.0)
+        parts = list(stream(folder, scan, chunk_rows=500, period=60.0))
         assert len(parts) > 2
         joined = xr.concat([make_records(part, scan, duration=60.0) for part in parts], "record", combine_attrs="drop")
         for name in ("variance", "mean", "count", "flag"):
@@ -242,16 +242,16 @@ class TestStream:
         frame["scan"] = np.arange(len(frame)) // 30
         frame = frame.sort_values(["scan", "beam", "time"]).drop(columns="scan")
         frame.to_csv(tmp_path / "a.csv", index=False)
-        parts = list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=100))
+        parts = list(stream(tmp_path / "a.csv", SIX, chunk_rows=100))
         assert len(parts) > 5
-        assert_streams_to(parts, read_radial_velocity(tmp_path / "a.csv", SIX))
+        assert_streams_to(parts, read(tmp_path / "a.csv", SIX))
 
     def test_a_file_sorted_by_beam(self, tmp_path, day):
         long_frame(day).sort_values(["beam", "time"]).to_csv(tmp_path / "a.csv", index=False)
         with pytest.raises(InputError, match=r"Time goes backwards in line 402 .*give a larger chunk_rows"):
-            list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=100))
-        whole = read_radial_velocity(tmp_path / "a.csv", SIX)
-        assert_streams_to(list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=10_000)), whole)
+            list(stream(tmp_path / "a.csv", SIX, chunk_rows=100))
+        whole = read(tmp_path / "a.csv", SIX)
+        assert_streams_to(list(stream(tmp_path / "a.csv", SIX, chunk_rows=10_000)), whole)
 
     @pytest.mark.parametrize("chunk_rows", [2, 100])
     def test_time_backwards_across_a_border(self, tmp_path, chunk_rows):
@@ -260,18 +260,18 @@ class TestStream:
             "time,beam,radial_velocity\n" + "".join(f"2024-03-01T{time},0,1\n" for time in times)
         )
         with pytest.raises(InputError, match=r"Time goes backwards in line 4 of file .*a.csv': beam 0 at .*10:00:01Z"):
-            list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=chunk_rows))
-        series = list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=chunk_rows, out_of_order="sort"))
+            list(stream(tmp_path / "a.csv", SIX, chunk_rows=chunk_rows))
+        series = list(stream(tmp_path / "a.csv", SIX, chunk_rows=chunk_rows, out_of_order="sort"))
         assert sum(report_of(part)["samples_out_of_order"] for part in series) == 1
 
     def test_rows_without_a_time(self, tmp_path):
         rows = [",0,1", ",0,1", "2024-03-01T10:00:00,0,1", ",0,2"]
         (tmp_path / "a.csv").write_text("time,beam,radial_velocity\n" + "\n".join(rows))
-        parts = list(stream_radial_velocity(tmp_path / "a.csv", SIX, chunk_rows=1))
-        assert_streams_to(parts, read_radial_velocity(tmp_path / "a.csv", SIX))
+        parts = list(stream(tmp_path / "a.csv", SIX, chunk_rows=1))
+        assert_streams_to(parts, read(tmp_path / "a.csv", SIX))
         (tmp_path / "b.csv").write_text("time,beam,radial_velocity\n,0,1\n,0,1\n")
         with pytest.raises(InputError, match=r"has no sample with a time and a beam \(2 rows were read\)"):
-            list(stream_radial_velocity(tmp_path / "b.csv", SIX, chunk_rows=1))
+            list(stream(tmp_path / "b.csv", SIX, chunk_rows=1))
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -284,7 +284,7 @@ class TestStream:
     )
     def test_options_are_checked_before_a_file_is_read(self, tmp_path, options, message):
         with pytest.raises(InputError, match=re.escape(message)):
-            stream_radial_velocity(tmp_path, SIX, **options)
+            stream(tmp_path, SIX, **options)
 
     @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(st.data())
@@ -306,5 +306,5 @@ class TestStream:
             files[-1].write_text("time,beam,radial_velocity\n" + "".join(rows))
         chunk_rows = data.draw(st.integers(1, 30))
         period = data.draw(st.none() | st.sampled_from([1.0, 60.0, 600.0]))
-        parts = list(stream_radial_velocity(files, staring, chunk_rows=chunk_rows, period=period))
-        assert_streams_to(parts, read_radial_velocity(files, staring))
+        parts = list(stream(files, staring, chunk_rows=chunk_rows, period=period))
+        assert_streams_to(parts, read(files, staring))

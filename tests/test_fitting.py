@@ -7,21 +7,13 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import (
-    InputError,
-    NoiseMismatchError,
-    calibrate,
-    load_scan,
-    load_turbulence,
-    make_records,
-    noise_for_records,
-    simulate,
-)
+from bayes_rs import InputError, NoiseMismatchError, load_scan, load_turbulence, make_records, simulate
 from bayes_rs.fits.fitting import fit
-from bayes_rs.fits.result import FLAGS, flag_words
-from bayes_rs.fits.summarizing import summary
+from bayes_rs.fits.flags import FLAGS, flag_words
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.choice import noise_for_records
+from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
 
@@ -60,7 +52,7 @@ class TestCalibration:
         """The test above has power: halving the noise's standard deviation breaks the coverage of uu."""
         scan, _, stress, records = simulated("6-beam", 200, WeakPrior(), seed=12)
         smaller = plain_noise(scan, relative_variance=0.015)
-        table = summary(fit(records, scan, noise=smaller, seed=1, target_ess=200))
+        table = fit(records, scan, noise=smaller, seed=1, target_ess=200).summary()
         rows = table[table["stress"] == "uu"]
         inside = np.count_nonzero((rows["hdi_low"] < stress[:, 0]) & (stress[:, 0] < rows["hdi_high"]))
         assert inside < stats.binom.ppf(1e-6, 200, 0.9)
@@ -124,7 +116,7 @@ class TestFlags:
         assert flag.tolist() == [0, FLAGS["no_usable_beam"], FLAGS["no_wind"], FLAGS["beam_left_out"], 0]
         missing = np.isnan(result["posterior/stress"]).all(("chain", "draw", "component")).values
         assert missing.tolist() == [False, True, True, False, False]
-        table = summary(result)
+        table = result.summary()
         assert len(table) == 30
         assert table[table["record"] == 1]["mean"].isna().all()
         assert set(table[table["record"] == 1]["flag"]) == {"no_usable_beam"}
@@ -132,7 +124,7 @@ class TestFlags:
     def test_a_chain_that_is_too_short_says_so(self, scene):
         scan, noise, _, records = scene
         result = fit(records, scan, noise=noise, seed=1, target_ess=2500, max_extension=0, prior="flat")
-        assert set(summary(result)["flag"]) == {"short_chain"}
+        assert set(result.summary()["flag"]) == {"short_chain"}
 
     def test_chains_are_extended_until_the_target_is_met(self, scene):
         scan, noise, _, records = scene
@@ -140,7 +132,7 @@ class TestFlags:
         stats_group = result["sample_stats"]
         assert float(stats_group["ess_bulk"].min()) >= 1000.0
         assert int(stats_group["n_step"].max()) > 64
-        assert set(summary(result)["flag"]) == {""}
+        assert set(result.summary()["flag"]) == {""}
 
     @pytest.mark.parametrize("target_ess", [1, 333, 1999, 2001])
     def test_any_target_can_be_asked_for(self, scene, target_ess):
@@ -152,7 +144,7 @@ class TestFlags:
         scan, noise, _, records = scene
         records["flag"][:] = 1
         result = fit(records, scan, noise=noise, seed=1)
-        assert summary(result)["mean"].isna().all()
+        assert result.summary()["mean"].isna().all()
 
     def test_the_input_is_not_touched(self, scene):
         scan, noise, _, records = scene
@@ -181,7 +173,7 @@ class TestNoiseBank:
         windy = replace(plain_noise(scan, relative_variance=0.01), wind_speed=16.0)
         records = records_of(np.ones((2, 1)), scan)
         records["wind_speed"][:] = [4.5, 15.0]
-        table = summary(fit(records, scan, noise=NoiseBank((calm, windy)), seed=1))
+        table = fit(records, scan, noise=Noise.join((calm, windy)), seed=1).summary()
         width = table[table["stress"] == "uu"].set_index("record")["sd"]
         assert width[0] == pytest.approx(np.sqrt(0.2), rel=0.35)  # skewed, and the prior on size pulls a little
         assert width[1] == pytest.approx(0.1, rel=0.15)
@@ -195,12 +187,12 @@ class TestProbe:
         trace = {}
         for name in ("pulsed-4-beam@probe=point", "pulsed-4-beam"):
             scan = load_scan(name)
-            gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain
+            gain = calibrate(scan, turbulence, wind_speed=10.0, cache=False).gain[0]
             records = records_of(np.tile(gain @ stress, (3, 1)), scan)
             records["wind_speed"][:] = [9.0, 10.0, 11.0]
             records["yaw"][:] = [-20.0, 0.0, 35.0]  # interpolated gains, at which extreme tensors must do no harm
-            noise, _ = noise_for_records(records.isel(record=[1]), scan, turbulence)
-            spread, _ = noise_for_records(records, scan, turbulence)
+            noise = noise_for_records(records.isel(record=[1]), scan, turbulence)
+            spread = noise_for_records(records, scan, turbulence)
             assert np.isfinite(fit(records, scan, noise=spread, seed=1)["posterior/stress"]).all()
             result = fit(records.isel(record=[1]), scan, noise=noise, seed=1, target_ess=4000)
             trace[name] = float(result["posterior/stress"].sel(component=["uu", "vv", "ww"]).sum("component").mean())

@@ -31,7 +31,7 @@ WORK = (
     "import sys, time\n"
     f"sys.path.insert(0, {str(TESTS)!r})\n"
     "import campaign_scene\n"
-    "from bayes_rs.fits import campaign, campaign_plan\n"
+    "from bayes_rs.fits import campaign, plan as campaign_plan\n"
     "campaign_plan.PART_RECORDS = campaign_scene.PART\n"
     "def slowly(shared, part):\n"
     "    if part.index == 2:\n"
@@ -158,7 +158,7 @@ class TestReplacing:
             check_output_folder(older, overwrite=True)
         with pytest.raises(InputError, match="is being written by another run"), output_folder(older, overwrite=True):
             pytest.fail("nothing is to be done")
-        assert [path.name for path in older.iterdir()] == ["run.json"]
+        assert sorted(path.name for path in older.iterdir()) == ["fingerprints.jsonl", "run.json"]
         assert end(other) == 0
         check_output_folder(older, overwrite=True)
         with output_folder(older, overwrite=True) as folder:
@@ -184,7 +184,7 @@ class TestTwoRuns:
         monkeypatch.setattr(campaign_plan, "PART_RECORDS", PART)
         whole = fit_campaign(make_records(), SCAN, place.parent / "whole", **OPTIONS)
         first = start(WORK, place)
-        half_written = place / "summary" / ".part-000002.parquet.1"  # as of the first process, in the middle of a file
+        half_written = place / "summary" / ".half.part-000002.parquet"  # as of the first process, amid a file
         half_written.write_bytes(b"PAR1")
         before = {path: path.stat().st_mtime_ns for path in sorted(place.glob("**/*"))}
         for options in ({"resume": True}, {"overwrite": True}, {}):

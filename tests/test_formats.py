@@ -25,8 +25,9 @@ from format_files import (
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import READERS, read_radial_velocity, read_statistics
+from bayes_rs.readers import READERS, read, read_statistics
 from bayes_rs.readers.compressed import plain_suffix
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.halo import halo_rays
@@ -89,7 +90,7 @@ class TestSimulatedReadBack:
             long_frame(simulated).to_parquet(file)
         else:
             simulated.to_netcdf(file)
-        assert_same_records(read_radial_velocity(file, scan), simulated, scan)
+        assert_same_records(read(file, scan), simulated, scan)
 
 
 class TestDecimalCommas:
@@ -98,7 +99,7 @@ class TestDecimalCommas:
         scan = replace(SIX, beam_time=np.zeros(6))
         series, file = series_of(scan, n_scan=50), tmp_path / "a.csv"
         frame(series).to_csv(file, index=False, sep=";", decimal=",")
-        assert_same(read_radial_velocity(file, scan, separator=";", decimal=","), series)
+        assert_same(read(file, scan, separator=";", decimal=","), series)
 
 
 class TestCompressed:
@@ -115,10 +116,8 @@ class TestCompressed:
         else:
             write_hpl(file, six, SIX)
         packed = compress(file, suffix)
-        series = read_radial_velocity(packed, SIX)
-        xr.testing.assert_identical(
-            series.drop_attrs(deep=False), read_radial_velocity(file, SIX).drop_attrs(deep=False)
-        )
+        series = read(packed, SIX)
+        xr.testing.assert_identical(series.drop_attrs(deep=False), read(file, SIX).drop_attrs(deep=False))
         assert json.loads(series.attrs["source_files"]) == [packed.name]
 
     def test_errors_name_the_file_that_was_given(self, tmp_path):
@@ -126,21 +125,21 @@ class TestCompressed:
         file.write_text("time,beam,radial_velocity\n2024-01-01T00:00:00,0,fast\n")
         packed = compress(file, ".gz")
         with pytest.raises(InputError, match=f"line 2 of file {re.escape(repr(str(packed)))}: it must be a number"):
-            read_radial_velocity(packed, SIX)
+            read(packed, SIX)
 
     def test_a_zip_of_several_files(self, tmp_path):
         with zipfile.ZipFile(tmp_path / "days.csv.zip", "w") as archive:
             archive.writestr("a.csv", "")
             archive.writestr("b.csv", "")
         with pytest.raises(InputError, match=r"days.csv.zip' holds 2 files: a .zip must hold one"):
-            read_radial_velocity(tmp_path / "days.csv.zip", SIX)
+            read(tmp_path / "days.csv.zip", SIX)
 
     def test_a_bomb(self, tmp_path, monkeypatch):
         monkeypatch.setattr("bayes_rs.readers.compressed.MOST_BYTES", 10_000_000)
         file = tmp_path / "day.csv"
         file.write_bytes(b"0" * 10_000_001)
         with pytest.raises(InputError, match=r"day.csv.gz' unpacks to more than 10000000 bytes: unpack it yourself"):
-            read_radial_velocity(compress(file, ".gz"), SIX)
+            read(compress(file, ".gz"), SIX)
 
     def test_plain_suffix(self):
         assert [plain_suffix(Path(name)) for name in ("a.NC.GZ", "a.csv", "a.b.parquet", "a.gz", "a")] == [
@@ -150,7 +149,7 @@ class TestCompressed:
 
 class TestHalo:
     def test_same_records(self, tmp_path, six):
-        series = read_radial_velocity(write_hpl(tmp_path / "a.hpl", six, SIX), SIX)
+        series = read(write_hpl(tmp_path / "a.hpl", six, SIX), SIX)
         assert_same(series, six, tolerance=WRITTEN)
         assert_same_records(series, six, SIX, tolerance=WRITTEN)
         np.testing.assert_allclose(series["cnr"], six["cnr"], atol=1e-3)  # nine decimals of an SNR of a hundredth
@@ -165,7 +164,7 @@ class TestHalo:
     def test_layouts_in_use(self, tmp_path, six, options):
         overlap = options.get("overlap")
         file = write_hpl(tmp_path / "a.hpl", six, SIX, n_gate=16 if overlap else 5, **options)
-        assert_same(read_radial_velocity(file, SIX, range_tolerance=3.0), six, tolerance=WRITTEN)
+        assert_same(read(file, SIX, range_tolerance=3.0), six, tolerance=WRITTEN)
 
     def test_a_published_ray(self, tmp_path):
         """Numbers of a file from Eriswil as its reader's own tests give them (halo-reader, test_read.py)."""
@@ -174,7 +173,7 @@ class TestHalo:
         ray = "11.00499444   0.00  90.00 -0.01 -0.20\n  0 2.5990 1.027855  1.569249E-6\n  1 -0.0764 1.014089  7.96E-7\n"
         file = tmp_path / "eriswil.hpl"
         file.write_text(head + "****\n" + ray)
-        rays = halo_rays(file, resolve_format({}, SIX))
+        rays = halo_rays(file, resolve_format(FileOptions(), SIX))
         assert abs(rays.time[0] - np.datetime64("2022-12-14T11:00:17.979984")) <= MICROSECOND
         np.testing.assert_array_equal(rays.radial_velocity, [[2.599, -0.0764]])
         np.testing.assert_allclose(rays.cnr, 10.0 * np.log10([[0.027855, 0.014089]]), rtol=1e-9)
@@ -183,19 +182,19 @@ class TestHalo:
 
     def test_midnight(self, tmp_path):
         late = series_of(SIX, n_scan=10, start="2024-02-29T23:59:57")
-        assert_same(read_radial_velocity(write_hpl(tmp_path / "a.hpl", late, SIX), SIX), late, tolerance=WRITTEN)
+        assert_same(read(write_hpl(tmp_path / "a.hpl", late, SIX), SIX), late, tolerance=WRITTEN)
 
     def test_first_ray_after_midnight(self, tmp_path):
         late = series_of(SIX, n_scan=2, start="2024-03-01T00:00:01")
         file = write_hpl(tmp_path / "a.hpl", late, SIX)
         file.write_text(file.read_text().replace("20240301 00:00:01.00", "20240229 23:59:59.50"))
-        assert_same(read_radial_velocity(file, SIX), late, tolerance=WRITTEN)
+        assert_same(read(file, SIX), late, tolerance=WRITTEN)
 
     @pytest.mark.parametrize("cut", [10, 70, 150])
     def test_cut_off(self, tmp_path, six, cut):
         file = write_hpl(tmp_path / "a.hpl", six, SIX)
         file.write_bytes(file.read_bytes()[:-cut])
-        series = read_radial_velocity(file, SIX)
+        series = read(file, SIX)
         lost = six.sizes["sample"] - series.sizes["sample"]
         assert lost == report_of(series)["rows_dropped"] == (0 if cut < 20 else 1)
 
@@ -218,14 +217,14 @@ class TestHalo:
         assert old in text
         file.write_text(text.replace(old, new, 1))
         with pytest.raises(InputError, match=message) as caught:
-            read_radial_velocity(file, SIX)
+            read(file, SIX)
         assert "a.hpl" in str(caught.value)
 
 
 class TestSpinnerLidar:
     def test_same_records(self, tmp_path):
         few = series_of(FEW_SPINS, n_scan=20)
-        series = read_radial_velocity(write_spinnerlidar(tmp_path / "a.txt", few, FEW_SPINS), FEW_SPINS)
+        series = read(write_spinnerlidar(tmp_path / "a.txt", few, FEW_SPINS), FEW_SPINS)
         assert_same(series, few)
         assert_same_records(series, few, FEW_SPINS)
         (entry,) = report_of(series)["files"]
@@ -235,7 +234,7 @@ class TestSpinnerLidar:
     def test_looking_downwind(self, tmp_path):
         few = series_of(FEW_SPINS, n_scan=2)
         file = write_spinnerlidar(tmp_path / "a.txt", few, FEW_SPINS)
-        one, other = (read_radial_velocity(file, FEW_SPINS, positive=sign) for sign in ("towards", "away"))
+        one, other = (read(file, FEW_SPINS, positive=sign) for sign in ("towards", "away"))
         np.testing.assert_array_equal(one["radial_velocity"], -other["radial_velocity"])
 
     @pytest.mark.parametrize(
@@ -249,7 +248,7 @@ class TestSpinnerLidar:
     def test_columns(self, tmp_path, columns, message):
         file = write_spinnerlidar(tmp_path / "a.txt", series_of(FEW_SPINS, n_scan=1), FEW_SPINS)
         with pytest.raises(InputError, match=message):
-            read_radial_velocity(file, FEW_SPINS, file_format="spinnerlidar", columns=columns)
+            read(file, FEW_SPINS, file_format="spinnerlidar", columns=columns)
 
 
 MAP_OF_ZX = {
@@ -265,7 +264,7 @@ class TestZX:
     def test_same_records(self, tmp_path, converter):
         turns = series_of(ZX, n_scan=20)
         file = write_zx(tmp_path / "raw.csv", turns, ZX, converter=converter)
-        series = read_radial_velocity(file, ZX, **MAP_OF_ZX)
+        series = read(file, ZX, **MAP_OF_ZX)
         assert_same(series, turns)
         assert_same_records(series, turns, ZX)
         missing = int(np.isnan(turns["radial_velocity"]).sum())
@@ -283,17 +282,17 @@ class TestZX:
             {"time": turns["time"], "phase": np.tile(theta, 3), "radial_velocity": turns["radial_velocity"]}
         )
         frame.to_csv(file, index=False)
-        assert_same(read_radial_velocity(file, one_height, file_format="zx", positive="away"), turns)
+        assert_same(read(file, one_height, file_format="zx", positive="away"), turns)
 
     def test_other_scans(self, tmp_path):
         file = write_zx(tmp_path / "raw.csv", series_of(ZX, n_scan=1), ZX)
         with pytest.raises(InputError, match="do not lie on one cone"):
-            read_radial_velocity(file, FEW_SPINS, **MAP_OF_ZX)
+            read(file, FEW_SPINS, **MAP_OF_ZX)
 
     def test_statistics_are_no_velocities(self, tmp_path):
         file = write_statistics(tmp_path)
         with pytest.raises(InputError, match=r"Wind10_317.csv' holds ZX's statistics .* read it with read_statistics"):
-            read_radial_velocity(file, ZX, separator=";", decimal=",")
+            read(file, ZX, separator=";", decimal=",")
 
 
 COUNTS = {"phase_zero_deg": 0.0, "phase_turns": "up"}
@@ -304,7 +303,7 @@ class TestZXByHeadings:
     def test_same_records(self, tmp_path, radian):
         turns = series_of(ZX, n_scan=40)
         file = write_mini_raw(tmp_path / "raw.csv", turns, ZX, radian=radian)
-        series = read_radial_velocity(file, ZX, **COUNTS)
+        series = read(file, ZX, **COUNTS)
         assert_same(series, turns)
         assert_same_records(series, turns, ZX)
         report = report_of(series)
@@ -326,7 +325,7 @@ class TestZXByHeadings:
         turns = series_of(ZX, n_scan=1)
         names = {"Phase (deg)": phase, "LOS Velocity (m/s)": velocity}
         file = write_mini_raw(tmp_path / "raw.csv", turns, ZX, **names)
-        assert_same(read_radial_velocity(file, ZX, **COUNTS), turns)
+        assert_same(read(file, ZX, **COUNTS), turns)
 
     @pytest.mark.parametrize("pattern", ["%d/%m/%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f"])
     def test_times_of_the_older_converter(self, tmp_path, pattern):
@@ -335,7 +334,7 @@ class TestZXByHeadings:
         frame = pd.read_csv(file)
         frame["Time and Date"] = pd.to_datetime(frame["Time and Date"]).dt.strftime(pattern)
         frame.to_csv(file, index=False)
-        assert_same(read_radial_velocity(file, ZX, **COUNTS), turns)
+        assert_same(read(file, ZX, **COUNTS), turns)
 
     def test_a_column_that_is_named_counts_first(self, tmp_path):
         turns = series_of(ZX, n_scan=1)
@@ -345,9 +344,9 @@ class TestZXByHeadings:
         frame["Phase (deg)"] += 90.0
         frame.to_csv(file, index=False)
         with pytest.raises(InputError, match=r"several columns that could be phase, 'Phase \(deg\)', 'Azimuth': say"):
-            read_radial_velocity(file, ZX, **COUNTS)
-        assert_same(read_radial_velocity(file, ZX, columns={"phase": "Azimuth"}), turns)
-        turned = read_radial_velocity(file, ZX, columns={"phase": "Phase (deg)"}, phase_zero_deg=-90.0)
+            read(file, ZX, **COUNTS)
+        assert_same(read(file, ZX, columns={"phase": "Azimuth"}), turns)
+        turned = read(file, ZX, columns={"phase": "Phase (deg)"}, phase_zero_deg=-90.0)
         assert_same(turned, turns)
 
     @pytest.mark.parametrize("counts", [{}, {"phase_zero_deg": 0.0}, {"phase_turns": "down"}])
@@ -355,7 +354,7 @@ class TestZXByHeadings:
         file = write_mini_raw(tmp_path / "raw.csv", series_of(ZX, n_scan=1), ZX)
         words = r"does not say where its 'Phase \(deg\)' is zero and which way it turns: give phase_zero_deg"
         with pytest.raises(InputError, match=words):
-            read_radial_velocity(file, ZX, **counts)
+            read(file, ZX, **counts)
 
     @pytest.mark.parametrize(
         ("names", "columns", "words"),
@@ -373,7 +372,7 @@ class TestZXByHeadings:
     def test_columns_that_are_not_there(self, tmp_path, names, columns, words):
         file = write_mini_raw(tmp_path / "raw.csv", series_of(ZX, n_scan=1), ZX, **names)
         with pytest.raises(InputError, match=words):
-            read_radial_velocity(file, ZX, file_format="zx", columns=columns, **COUNTS)
+            read(file, ZX, file_format="zx", columns=columns, **COUNTS)
 
     def test_magnitudes_all_round_an_upward_cone(self, tmp_path):
         scan = load_scan("zx-300")
@@ -387,9 +386,9 @@ class TestZXByHeadings:
             frame.to_csv(tmp_path / "raw.csv", index=False)
             if refused:
                 with pytest.raises(InputError, match=r"holds magnitudes .* upward cone of scan 'zx-300'.* with signs"):
-                    read_radial_velocity(tmp_path / "raw.csv", one_height, file_format="zx")
+                    read(tmp_path / "raw.csv", one_height, file_format="zx")
             else:
-                read_radial_velocity(tmp_path / "raw.csv", one_height, file_format="zx")
+                read(tmp_path / "raw.csv", one_height, file_format="zx")
 
     def test_pairs_at_heights_of_the_rotor_are_no_scan(self, tmp_path):
         """The headings are those of the README of the Hill of Towie open dataset, v2."""
@@ -398,7 +397,7 @@ class TestZXByHeadings:
         frame[sides] = [[8.1, 9987.0]]
         frame.to_csv(tmp_path / "Wind_ZTM5060.csv", index=False)
         with pytest.raises(InputError, match="holds ZX TM's wind: line-of-sight speeds left and right at heights"):
-            read_radial_velocity(tmp_path / "Wind_ZTM5060.csv", ZX)
+            read(tmp_path / "Wind_ZTM5060.csv", ZX)
 
     def test_a_long_table_stays_one(self, tmp_path):
         turns = series_of(ZX, n_scan=1)
@@ -406,7 +405,7 @@ class TestZXByHeadings:
         frame = pd.read_csv(file).assign(beam=turns["beam"].values)
         frame.to_csv(file, index=False)
         columns = {"time": "Timestamp (ISO 8601)", "radial_velocity": "LOS Velocity (m/s)"}
-        series = read_radial_velocity(file, ZX, columns=columns, invalid=list(range(9987, 10000)))
+        series = read(file, ZX, columns=columns, invalid=list(range(9987, 10000)))
         assert report_of(series)["files"][0]["format"] == "long"
 
 
@@ -481,15 +480,15 @@ class TestRegistry:
             assert reader.title
             assert reader.source
             assert all(suffix.startswith(".") for suffix in reader.suffixes)
-            resolve_format({}, None, defaults=reader.defaults)  # its defaults are valid options
+            resolve_format(FileOptions(), None, defaults=reader.defaults)  # its defaults are valid options
 
     def test_precedence(self, tmp_path, six):
         """The caller's option, then the scan's, then the format's, then the general one."""
         file = write_hpl(tmp_path / "a.hpl", six, SIX)
-        away = read_radial_velocity(file, SIX)["radial_velocity"]
+        away = read(file, SIX)["radial_velocity"]
         scan = replace(SIX, file_format={"positive": "towards"})
-        np.testing.assert_array_equal(read_radial_velocity(file, scan)["radial_velocity"], -away)
-        series = read_radial_velocity(file, scan, positive="away")
+        np.testing.assert_array_equal(read(file, scan)["radial_velocity"], -away)
+        series = read(file, scan, positive="away")
         np.testing.assert_array_equal(series["radial_velocity"], away)
         assert report_of(series)["files"][0]["options_of_format"] == ["time_zone"]
 
@@ -510,7 +509,7 @@ class TestTimes:
     def test_time_formats(self, tmp_path, text, time_format):
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format(text))
-        time = read_radial_velocity(file, SIX, time_format=time_format)["time"].values[0]
+        time = read(file, SIX, time_format=time_format)["time"].values[0]
         shift = np.timedelta64(-1, "s") if time_format == "labview" else np.timedelta64(0, "s")
         wanted = np.datetime64("2024-03-01T10:00:00.25") + shift
         assert abs(time - wanted) <= 50 * MICROSECOND  # a datenum in float64 resolves 10 µs
@@ -518,7 +517,7 @@ class TestTimes:
     def test_pattern_in_a_zone(self, tmp_path):
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format("01.03.2024 10:00"))
-        time = read_radial_velocity(file, SIX, time_format="%d.%m.%Y %H:%M", time_zone="UTC+1")["time"].values[0]
+        time = read(file, SIX, time_format="%d.%m.%Y %H:%M", time_zone="UTC+1")["time"].values[0]
         assert time == np.datetime64("2024-03-01T09:00")
 
     @pytest.mark.parametrize("time_format", ["unix", "%d.%m.%Y"])
@@ -526,14 +525,14 @@ class TestTimes:
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format("1e300x"))
         with pytest.raises(InputError, match="Invalid time '1e300x' in column 'time', line 2"):
-            read_radial_velocity(file, SIX, time_format=time_format)
+            read(file, SIX, time_format=time_format)
 
     @pytest.mark.parametrize(("stamp", "share"), [("start", 0.0), ("middle", 0.5), ("end", 1.0), (None, 0.0)])
     def test_stamps(self, tmp_path, stamp, share):
         """The time kept is the start of a sample's accumulation."""
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format("2024-03-01T10:00:04"))
-        series = read_radial_velocity(file, SIX, time_stamp=stamp, sample_duration=4.0)
+        series = read(file, SIX, time_stamp=stamp, sample_duration=4.0)
         wanted = np.datetime64("2024-03-01T10:00:04", "ms") - np.timedelta64(round(4000 * share), "ms")
         assert series["time"].values[0] == wanted
         assert report_of(series)["files"][0]["time_stamp"] == stamp
@@ -542,7 +541,7 @@ class TestTimes:
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format("2024-03-01T10:00:04"))
         with pytest.raises(InputError, match=r"at the end of a sample need its duration.*give sample_duration"):
-            read_radial_velocity(file, SIX, time_stamp="end")
+            read(file, SIX, time_stamp="end")
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -563,4 +562,4 @@ class TestTimes:
         file = tmp_path / "a.csv"
         file.write_text(self.ROW.format("2024-03-01T10:00:04"))
         with pytest.raises(InputError, match=re.escape(message)):
-            read_radial_velocity(file, SIX, **options)
+            read(file, SIX, **options)

@@ -13,7 +13,7 @@ from bayes_rs.geometry.inflow import gradient_columns
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, REFERENCE_STRESS, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 
 NEUTRAL = [1.0, 0.5, 0.27, 0.0, -0.15, 0.0]
@@ -33,7 +33,7 @@ def build(name, scan, variance, place=None, gain=None, used=None, offset=0.0, **
         variance,
         np.ones(shape, dtype=bool) if used is None else used,
         np.broadcast_to(design_matrix(scan), (*shape, 6)) if gain is None else gain,
-        np.broadcast_to(plain_noise(scan).covariance, (*shape, scan.n_beam)),
+        np.broadcast_to(plain_noise(scan).covariance[0], (*shape, scan.n_beam)),
         offset,
         place=None if place is None else np.broadcast_to(place, (*shape, place.shape[-1])),
         **options,
@@ -98,7 +98,7 @@ class TestConfounding:
         relative = design_matrix(scan) / (design_matrix(scan) @ NEUTRAL)[:, None]
         place = gradient_columns(scan.geometry()) / 100.0
         basis, _ = np.linalg.qr(np.concatenate([relative, place], axis=1))
-        weight = basis @ np.linalg.inv(basis.T @ np.log(1.0 + noise.covariance) @ basis) @ basis.T
+        weight = basis @ np.linalg.inv(basis.T @ np.log(1.0 + noise.covariance[0]) @ basis) @ basis.T
         for name, column in zip(("lateral_gradient", "vertical_gradient"), place.T, strict=True):
             columns = np.concatenate([relative, column[:, None]], axis=1)
             covariance = np.linalg.inv(columns.T @ weight @ columns)
@@ -233,7 +233,7 @@ class TestLikelihood:
         """Without noise, with a long prior for uu and a steep gradient, D is near what made the data."""
         variance = radial_variance(self.scan, np.array([NEUTRAL])) * np.exp([[1.5, 0.0]] @ self.place.T)
         likelihood = build("gaussian-plugin", self.scan, variance, self.place)
-        covariance = plain_noise(self.scan).covariance
+        covariance = plain_noise(self.scan).covariance[0]
         # projection = W D⁻¹ with Wᵀ W = K⁻¹, where nothing is reduced: the diagonal of PᵀP is that of K⁻¹ over D²
         fitted = np.sqrt(np.diag(np.linalg.inv(covariance)) / np.sum(likelihood.projection[0] ** 2, axis=0))
         assert np.abs(np.log(fitted / variance[0])).max() < 0.05
@@ -293,7 +293,7 @@ class TestLikelihood:
         basis, _ = np.linalg.qr(
             np.concatenate([design_matrix(scan) / (design_matrix(scan) @ REFERENCE_STRESS)[:, None], place], axis=1)
         )
-        covariance = np.log(1.0 + noise.covariance)
+        covariance = np.log(1.0 + noise.covariance[0])
         normal = stats.multivariate_normal(np.zeros(8), basis.T @ covariance @ basis)
         mean = radial_variance(scan, self.stress) * np.exp(self.gradient @ place.T)
         expected = normal.logpdf((np.log(variance / mean) + 0.5 * np.diag(covariance)) @ basis)
@@ -303,7 +303,7 @@ class TestLikelihood:
     def test_noise_that_was_reduced_beforehand_sees_gradients_too(self):
         scan = load_scan("50-beam")
         noise = plain_noise(scan)
-        bank = NoiseBank(tuple(noise.__class__(**{**vars(noise), "wind_speed": speed}) for speed in (8.0, 12.0)))
+        bank = Noise.join(tuple(replace(noise, wind_speed=speed) for speed in (8.0, 12.0)))
         nuisances = Nuisances(vertical_gradient_sd=0.5, lateral_gradient_sd=0.3)
         variance = draw_variances(self.stress, scan, noise, np.random.default_rng(1))
         batch = Batch(variance, np.ones(variance.shape, dtype=bool), np.full(7, 10.0), np.zeros(7), np.arange(7))
@@ -384,7 +384,7 @@ class TestFit:
         noise, prior = plain_noise(scan), WeakPrior()
         truth = np.array([[1.2, 0.7, 0.4, 0.1, -0.2, 0.05]])
         variance = draw_variances(truth, scan, noise, np.random.default_rng(3)) * beam_factor(scan, [0.3], [-0.5])
-        covariance = np.log(1.0 + noise.covariance)
+        covariance = np.log(1.0 + noise.covariance[0])
         normal = stats.multivariate_normal(np.zeros(6), covariance)
 
         def weigh(coordinate):

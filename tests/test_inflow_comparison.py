@@ -35,7 +35,7 @@ class SizePrior(NormalPrior):
 
 def quadrature(scan, noise, variance, width, used, dof):
     """ln p(ln y of the used beams) by the trapezoidal rule over ln uu and the gradient; without one for width 0."""
-    covariance = np.log(1.0 + noise.covariance)
+    covariance = np.log(1.0 + noise.covariance[0])
     height = scan.focus_distance * scan.level_direction[:, 2]
     height = (height - height.mean()) / 100.0
     if np.isinf(dof):
@@ -87,7 +87,7 @@ def test_left_out_beams_of_many_are_predicted_from_the_reduced_data():
     table = compare_inflow(
         records_of(variance, scan), scan, noise=noise, nuisances=nuisances, prior=SizePrior(), seed=1, n_draw=4000
     )
-    covariance = np.log(1.0 + noise.covariance)
+    covariance = np.log(1.0 + noise.covariance[0])
     point = scan.focus_distance[:, None] * scan.level_direction
     height = (point[:, 2] - point[:, 2].mean()) / 100.0
     neutral = np.array([1.0, 0.5, 0.27, 0.0, -0.15, 0.0])

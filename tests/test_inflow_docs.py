@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_rs import inflow_confounding, load_scan, load_turbulence, theory_noise
+from bayes_rs import inflow_confounding, load_scan, load_turbulence
+from bayes_rs.noise.by_theory import theory_noise
 
 ROOT = Path(__file__).parents[1]
 SCANS = {

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 
 def build(scan, variance, used=None, *, covariance=None, offset=0.0):
     n_record, n_beam = variance.shape
-    matrix = plain_noise(scan).covariance if covariance is None else covariance
+    matrix = plain_noise(scan).covariance[0] if covariance is None else covariance
     return log_normal_likelihood(
         variance,
         np.ones_like(variance, dtype=bool) if used is None else used,
@@ -55,7 +55,7 @@ def test_without_surplus_beams_it_is_the_textbook_density(name, stress):
     noise = plain_noise(scan)
     variance = draw_variances(stress, scan, noise, np.random.default_rng(2))
     density = build(scan, variance, offset=0.02).log_density(np.broadcast_to(stress, (7, 7, 6)))
-    expected = [[textbook(scan, noise.covariance, y, r, 0.02) for r in stress] for y in variance]
+    expected = [[textbook(scan, noise.covariance[0], y, r, 0.02) for r in stress] for y in variance]
     np.testing.assert_allclose(density, expected, rtol=1e-9)  # condition of K below 1e4, rounding
 
 
@@ -69,7 +69,7 @@ def test_moments_are_those_of_the_noise_model():
     expected = design_matrix(scan) @ stress[0]
     np.testing.assert_allclose(variance.mean(axis=0), expected, rtol=5.0 * np.sqrt(0.06 / n_draw))
     relative = np.cov((variance / expected).T)
-    np.testing.assert_allclose(relative, noise.covariance, atol=5.0 * 0.06 * np.sqrt(3.0 / n_draw))
+    np.testing.assert_allclose(relative, noise.covariance[0], atol=5.0 * 0.06 * np.sqrt(3.0 / n_draw))
 
 
 @pytest.mark.parametrize("name", ["50-beam", "51-beam", "spinnerlidar@probe=point", "staring-planes"])
@@ -82,7 +82,7 @@ def test_reduced_density_is_that_of_the_projected_data(name, stress):
     gradient = matrix / (matrix @ REFERENCE_STRESS)[:, None]
     values, vectors = np.linalg.eigh(gradient @ gradient.T)
     basis = vectors[:, values > 1e-12 * values[-1]]
-    log_covariance = np.log(1.0 + noise.covariance)
+    log_covariance = np.log(1.0 + noise.covariance[0])
     mean = (np.log(matrix @ stress.T).T - 0.5 * np.diag(log_covariance)) @ basis
     expected = [
         [stats.multivariate_normal(m, basis.T @ log_covariance @ basis).logpdf(np.log(y) @ basis) for m in mean]
@@ -103,7 +103,7 @@ def test_a_beam_that_is_not_used_changes_nothing(stress):
     spoiled = variance.copy()
     spoiled[:, 2] = np.nan
     some = np.array([0, 1, 3, 4, 5])
-    smaller = build(scan.select(some), variance[:, some], covariance=noise.covariance[np.ix_(some, some)])
+    smaller = build(scan.select(some), variance[:, some], covariance=noise.covariance[0, np.ix_(some, some)])
     tensors = np.broadcast_to(stress, (7, 7, 6))
     np.testing.assert_allclose(
         build(scan, spoiled, used).log_density(tensors), smaller.log_density(tensors), rtol=1e-10
@@ -198,7 +198,10 @@ def test_there_is_no_instrument_noise_unless_it_is_given(name, stress):
     noise = plain_noise(scan)
     variance = draw_variances(stress, scan, noise, np.random.default_rng(10))
     shape = (7, scan.n_beam)
-    gain, covariance = np.broadcast_to(noise.gain, (*shape, 6)), np.broadcast_to(noise.covariance, (*shape, shape[1]))
+    gain, covariance = (
+        np.broadcast_to(noise.gain[0], (*shape, 6)),
+        np.broadcast_to(noise.covariance[0], (*shape, shape[1])),
+    )
     tensors = np.broadcast_to(stress, (7, 7, 6))
     maker = {**LIKELIHOODS, **OTHER_LIKELIHOODS}[name]
     found, none, some = (

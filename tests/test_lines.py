@@ -10,7 +10,7 @@ from scenes import point_scan
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import unpack_stress
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.simulation import lines
 from bayes_rs.simulation.lines import LARGEST_NEGATIVE_PART, LineMaker
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
@@ -199,9 +199,9 @@ class TestExtremes:
         assert peak < 2**31
         assert maker.negative_part < 1e-9
         noise = theory_noise(load_scan("spinnerlidar@probe=point"), SEED, wind_speed=10.0)
-        expected = (1.0 + noise.bias) * (noise.gain @ SEED.stresses())
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ SEED.stresses())
         deviation = velocity.var(axis=-1) / expected - 1.0
-        assert abs(deviation.mean()) < SIGMAS * np.sqrt(noise.covariance.mean() / 32)
+        assert abs(deviation.mean()) < SIGMAS * np.sqrt(noise.covariance[0].mean() / 32)
 
     def test_too_large_for_memory(self):
         scan = load_scan("spinnerlidar")
@@ -225,8 +225,8 @@ class TestTruth:
         scan = load_scan("6-beam", opening_angle_deg=45.0, yaw_deg=20.0)
         truth = LineMaker(scan, SEED, wind_speed=10.0, n_sample=round(duration)).truth()
         noise = theory_noise(scan, SEED, wind_speed=10.0, duration=duration)
-        expected = (1.0 + noise.bias) * (noise.gain @ SEED.stresses())
-        np.testing.assert_allclose(noise.gain @ np.array(truth["stresses_record"]), expected, rtol=1e-6)
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ SEED.stresses())
+        np.testing.assert_allclose(noise.gain[0] @ np.array(truth["stresses_record"]), expected, rtol=1e-6)
 
 
 class TestErrors:

@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.fits.long_job import run_long_fit
 from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
 
-from bayes_rs import InputError, MissingExtraError, make_records, read_radial_velocity, read_summary
+from bayes_rs import InputError, MissingExtraError, make_records, read, read_summary
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store, tables
-from bayes_rs.fits.long_job import run_long_fit
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.records.record_store import store_records
@@ -76,7 +76,7 @@ def run_that_stops(files, output, noise, *, number, sent):
 
 class TestNumbers:
     def test_they_are_those_of_the_whole_series(self, files, noise, whole, tmp_path):
-        series = read_radial_velocity(sorted(files.iterdir()), SCAN)
+        series = read(sorted(files.iterdir()), SCAN)
         records = make_records(series, SCAN, **RECORDING)
         found = xr.load_dataset(whole / "records.nc", engine="h5netcdf")
         for name in records.data_vars:
@@ -129,7 +129,7 @@ class TestInterruptions:
 
     def test_files_that_were_read_are_not_read_again(self, files, noise, tmp_path, monkeypatch):
         read = []
-        stream = record_store.stream_radial_velocity
+        stream = record_store.stream
 
         def failing(paths, *arguments, **options):
             if options["chunk_rows"] != record_store._PEEK:
@@ -138,7 +138,7 @@ class TestInterruptions:
                     raise KeyboardInterrupt
             return stream(paths, *arguments, **options)
 
-        monkeypatch.setattr(record_store, "stream_radial_velocity", failing)
+        monkeypatch.setattr(record_store, "stream", failing)
         with pytest.raises(KeyboardInterrupt) as caught:
             run(files, tmp_path / "out", noise)
         assert "goes on from it" in caught.value.__notes__[0]
@@ -292,7 +292,7 @@ class TestBadFiles:
         def full(*_args, **_options):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(record_store, "stream_radial_velocity", full)
+        monkeypatch.setattr(record_store, "stream", full)
         with pytest.raises(OSError, match="No space left"):
             store_records(files, SCAN, tmp_path / "store", duration=DURATION)
 
@@ -307,7 +307,7 @@ class TestLateSamples:
         )
         chunks = [shuffled.isel(sample=slice(start, start + 50)) for start in range(0, shuffled.sizes["sample"], 50)]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(record_store, "stream_radial_velocity", lambda *_args, **_options: iter(chunks))
+            patch.setattr(record_store, "stream", lambda *_args, **_options: iter(chunks))
             write_file(tmp_path / "year" / "a.csv", shuffled)
             outcome = run(tmp_path / "year", tmp_path / "out", noise)
         assert outcome.failures[0].startswith(

@@ -1,4 +1,4 @@
-"""Noise models and their files."""
+"""Noise and its files."""
 
 from dataclasses import replace
 
@@ -12,8 +12,8 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.models import models_folder
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.noise.reading import load_noise
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.turbulence.mann import MannTurbulence
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="fu-2022")
@@ -52,10 +52,10 @@ def make_noise(scan, *, wind_speed=10.0, yaw=0.0, **changes):
         "method": "given",
         "details": {"note": "made up", "numbers": [1, 2.5]},
     }
-    return NoiseModel(**{**numbers, **changes})
+    return Noise(**{**numbers, **changes})
 
 
-class TestEveryNoiseModel:
+class TestEveryNoise:
     @pytest.mark.parametrize("name", ["staring", "6-beam", "pulsed-4-beam", "spinnerlidar"])
     def test_given(self, name, tmp_path):
         scan = load_scan(name)
@@ -65,43 +65,47 @@ class TestEveryNoiseModel:
         scan = load_scan("4-beam")
         check_noise(make_noise(scan, standard_error=np.full((4, 4), 0.01), n_realizations=12.5), scan, tmp_path)
 
-    def test_a_model_is_used_as_a_bank_of_one(self):
-        model = make_noise(load_scan("4-beam"))
-        bank = NoiseBank(model.models)
-        assert bank.models == (model,)
-        assert (model.n_beam, model.duration, model.turbulence) == (bank.n_beam, bank.duration, bank.turbulence)
-        flow = {"length_scale": [30.0, 90.0], "gamma": 2.0}  # of no influence on a model of one turbulence
-        own, other = (noise.for_records([5.0, 8.0], [0.1, 0.2], **flow) for noise in (model, bank))
+    def test_one_state_may_be_given_without_its_axis(self):
+        scan = load_scan("4-beam")
+        one = make_noise(scan, n_realizations=12.5)
+        arrays = {name: getattr(one, name) for name in ("bias", "gain", "covariance", "wind_speed", "yaw")}
+        assert make_noise(scan, **arrays, n_realizations=[12.5]).to_dataset().identical(one.to_dataset())
+
+    def test_of_one_turbulence_a_records_own_has_no_influence_but_on_its_reach(self):
+        noise = make_noise(load_scan("4-beam"))
+        own = noise.for_records([10.0, 10.0, 10.0], 0.0, length_scale=[30.0, 62.0, np.nan], gamma=3.2)
+        plain = noise.for_records([10.0, 10.0, 10.0], 0.0)
         for name in ("bias", "gain", "covariance", "wind_speed", "yaw"):
-            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-            np.testing.assert_array_equal(getattr(own, name), getattr(model.for_records([5.0, 8.0], [0.1, 0.2]), name))
+            np.testing.assert_array_equal(getattr(own, name), getattr(plain, name))
+        assert own.outside.tolist() == [True, False, False]
+        assert noise.for_records([10.0, 10.0], 0.0, gamma=[3.3, 3.4]).outside.tolist() == [False, True]
 
     def test_bank(self, tmp_path):
         scan = load_scan("4-beam")
-        bank = NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (5.0, 10.0) for y in (-0.3, 0.3)))
+        bank = Noise.join(tuple(make_noise(scan, wind_speed=u, yaw=y) for u in (5.0, 10.0) for y in (-0.3, 0.3)))
         check_noise(bank, scan, tmp_path)
 
     @pytest.mark.parametrize("name", SHIPPED)
     def test_shipped(self, name, tmp_path):
         noise = load_noise(models_folder("noise") / f"{name}.nc")
         check_noise(noise, SHIPPED[name], tmp_path)
-        for model in noise.models:
-            assert model.method == "boxes"
-            assert model.duration == 600.0
-            assert model.details["n_boxes"] >= 150
-            np.testing.assert_allclose(model.gain, design_matrix(SHIPPED[name].at_yaw(model.yaw)), atol=1e-15)
-            assert np.all(model.bias < 0.0)
-            assert np.all(np.linalg.eigvalsh(model.covariance) > 0.0)
-            assert model.details["mean_deviation_sigmas"] < 5.0
+        assert noise.method == "boxes"
+        assert noise.duration == 600.0
+        assert noise.details["n_boxes"] >= 150
+        np.testing.assert_allclose(noise.gain, design_matrix(SHIPPED[name].at_yaw(noise.yaw)), atol=1e-15)
+        assert np.all(noise.bias < 0.0)
+        assert np.all(np.linalg.eigvalsh(noise.covariance) > 0.0)
+        for index in range(len(noise)):
+            assert noise.state(index).details["mean_deviation_sigmas"] < 5.0
 
     @pytest.mark.parametrize("name", SHIPPED_BANKS)
     def test_shipped_bank_by_theory(self, name, tmp_path):
         file = models_folder("noise") / f"{name}-theory.nc"
         bank, scan = load_noise(file), load_scan(SHIPPED_BANKS[name])
         check_noise(bank, scan, tmp_path)
-        assert {model.method for model in bank.models} == {"theory"}
+        assert bank.method == "theory"
         assert bank.interpolation_error < 0.01
-        assert bank.models[0].details["interpolation_error_beams"] == scan.n_beam
+        assert bank.details["interpolation_error_beams"] == scan.n_beam
         assert (bank.wind_speed.min(), bank.wind_speed.max()) == (2.5, 40.0)
         np.testing.assert_allclose(np.rad2deg([bank.yaw.min(), bank.yaw.max()]), [-60.0, 60.0])
         assert file.stat().st_size < 300_000
@@ -114,19 +118,19 @@ class TestEveryNoiseModel:
 class TestShippedNumbers:
     def test_relative_error_of_the_along_wind_variance_is_about_a_quarter(self):
         noise = load_noise(models_folder("noise") / "staring.nc")
-        spread = float(noise.relative_error[0])
-        error = float(noise.standard_error[0, 0]) / (2.0 * spread)
+        spread = float(noise.relative_error[0, 0])
+        error = float(noise.standard_error[0, 0, 0]) / (2.0 * spread)
         # 0.2658 is what the boxes' spectrum gives by the formula of Isserlis, 0.2585 an infinite domain's;
         # the rest is Monte Carlo, four standard errors
         assert spread == pytest.approx(0.2658, abs=4.0 * error)
         assert error < 0.01
 
     def test_errors_of_neighbouring_beams_are_strongly_correlated(self):
-        correlation = load_noise(models_folder("noise") / "4-beam.nc").correlation
+        correlation = load_noise(models_folder("noise") / "4-beam.nc").correlation[0]
         pairs = correlation[np.triu_indices(4, k=1)]
         assert pairs.min() > 0.3
         assert pairs.max() < 0.98
-        close = load_noise(models_folder("noise") / "50-beam.nc").correlation
+        close = load_noise(models_folder("noise") / "50-beam.nc").correlation[0]
         assert np.diagonal(close, offset=1).min() > 0.95  # 3.2 m apart
 
     def test_mirror_images_have_the_same_noise(self):
@@ -134,20 +138,19 @@ class TestShippedNumbers:
             models_folder("noise") / "4-beam.nc"
         )  # beams at 45°, 135°, 225°, 315°: y → −y swaps 0,1 and 2,3
         swap = [1, 0, 3, 2]
-        gap = np.abs(noise.covariance - noise.covariance[np.ix_(swap, swap)])
+        gap = np.abs(noise.covariance - noise.covariance[:, swap][:, :, swap])
         assert np.all(gap < 5.0 * np.sqrt(2.0) * noise.standard_error + 1e-12)
 
     def test_lighter_wind_is_noisier(self):
         bank = load_noise(models_folder("noise") / "pulsed-4-beam-point.nc")
-        ahead = [model for model in bank.models if model.yaw == 0.0]
-        error = [model.relative_error.mean() for model in sorted(ahead, key=lambda model: model.wind_speed)]
-        assert np.all(np.diff(error) < 0.0)
+        ahead = np.flatnonzero(bank.yaw == 0.0)
+        error = bank.relative_error[ahead].mean(axis=1)
+        assert np.all(np.diff(error[np.argsort(bank.wind_speed[ahead])]) < 0.0)
 
     def test_half_the_wind_speed_is_nearly_the_root_of_two_in_noise(self):
         bank = load_noise(models_folder("noise") / "pulsed-4-beam-point.nc")
         slow, fast = (
-            next(m for m in bank.models if m.yaw == 0.0 and m.wind_speed == speed).relative_error.mean()
-            for speed in (4.5, 14.0)
+            bank.relative_error[(bank.yaw == 0.0) & (bank.wind_speed == speed)].mean() for speed in (4.5, 14.0)
         )
         assert 1.3 < slow / fast < np.sqrt(14.0 / 4.5)  # records long against the eddies reach the root from below
 
@@ -157,7 +160,7 @@ class TestBank:
         """Four states in the corners of a net and one more, so that they form none."""
         scan = load_scan("4-beam")
         states = [(4.0, -0.5), (4.0, 0.5), (9.0, -0.5), (9.0, 0.5), (100.0, 0.2)]
-        return NoiseBank(tuple(make_noise(scan, wind_speed=u, yaw=y) for u, y in states))
+        return Noise.join(tuple(make_noise(scan, wind_speed=u, yaw=y) for u, y in states))
 
     @pytest.mark.parametrize(
         ("wind_speed", "yaw", "state"),
@@ -168,22 +171,19 @@ class TestBank:
         assert noise.state.tolist() == [state]
 
     def test_every_array_is_that_of_the_nearest_state(self):
-        models = self.make_bank().models
-        bank = NoiseBank(
-            tuple(
-                replace(model, bias=model.bias + 0.01 * i, covariance=model.covariance * (i + 1.0))
-                for i, model in enumerate(models)
-            )
+        bank, number = self.make_bank(), np.arange(5.0)
+        bank = replace(
+            bank, bias=bank.bias + 0.01 * number[:, None], covariance=bank.covariance * (number[:, None, None] + 1.0)
         )
         noise = bank.for_records([9.0, 4.0, 9.0], [0.5, 0.5, -0.5])
         for record, state in enumerate((3, 1, 2)):
-            np.testing.assert_array_equal(noise.bias[record], bank.models[state].bias)
-            np.testing.assert_array_equal(noise.covariance[record], bank.models[state].covariance)
+            np.testing.assert_array_equal(noise.bias[record], bank.bias[state])
+            np.testing.assert_array_equal(noise.covariance[record], bank.covariance[state])
 
     def test_what_is_outside_is_marked(self):
-        noise = self.make_bank().for_records([3.9, 3.0, 120.0, 9.0, 9.0], [0.0, 0.0, 0.0, 0.53, 0.6])
-        assert noise.outside.tolist() == [False, True, True, False, True]
-        assert not make_noise(load_scan("4-beam")).for_records([1.0], [1.0]).outside.any()
+        """The distance to the nearest state counts, also between the states."""
+        noise = self.make_bank().for_records([3.9, 3.0, 120.0, 9.0, 9.0, 6.0], [0.5, 0.5, 0.2, 0.53, 0.6, 0.0])
+        assert noise.outside.tolist() == [False, True, True, False, True, True]
 
     def test_scalars_are_broadcast(self):
         assert self.make_bank().for_records([4.0, 9.0, 9.0], 0.5).state.tolist() == [1, 3, 3]
@@ -197,17 +197,17 @@ class TestBank:
             self.make_bank().for_records([4.0], [np.nan])
 
     def test_models_of_different_scans(self):
-        with pytest.raises(InputError, match="must be of one scan: the beams are"):
-            NoiseBank((make_noise(load_scan("4-beam")), make_noise(load_scan("5-beam"))))
+        with pytest.raises(InputError, match="can be joined if it is of one scan: the beams are"):
+            Noise.join((make_noise(load_scan("4-beam")), make_noise(load_scan("5-beam"))))
 
     def test_models_of_different_record_lengths(self):
         scan = load_scan("4-beam")
-        with pytest.raises(InputError, match="must be of one record length and one turbulence: 600 s"):
-            NoiseBank((make_noise(scan), make_noise(scan, duration=1800.0)))
+        with pytest.raises(InputError, match=r"of one record length, dissipation and method: 600 s, .*; and 1800 s"):
+            Noise.join((make_noise(scan), make_noise(scan, duration=1800.0)))
 
     def test_no_model(self):
-        with pytest.raises(InputError, match="needs at least one noise model"):
-            NoiseBank(())
+        with pytest.raises(InputError, match="There is no noise to join"):
+            Noise.join(())
 
 
 class TestNet:
@@ -230,7 +230,7 @@ class TestNet:
             for u in self.speeds
             for y in self.yaws
         ]
-        return NoiseBank(tuple(models[i] for i in (range(9) if order is None else order)))
+        return Noise.join(tuple(models[i] for i in (range(9) if order is None else order)))
 
     def test_a_power_of_the_wind_speed_is_followed_exactly(self):
         speeds = np.geomspace(4.0, 16.0, 7)
@@ -251,7 +251,7 @@ class TestNet:
 
     def test_records_of_one_wind_speed_differ_by_their_direction(self):
         bank = self.bank()
-        turned = NoiseBank(tuple(replace(m, covariance=m.covariance * (1.0 + m.yaw)) for m in bank.models))
+        turned = replace(bank, covariance=bank.covariance * (1.0 + bank.yaw[:, None, None]))
         noise = turned.for_records([8.0, 8.0], [-0.4, 0.4])
         np.testing.assert_allclose(noise.covariance[1], noise.covariance[0] * 1.4 / 0.6, rtol=1e-12)
         assert noise.state[0] != noise.state[1]
@@ -282,7 +282,7 @@ class TestNet:
 
     def test_what_the_probe_takes_is_interpolated(self):
         scan = load_scan("4-beam")
-        bank = NoiseBank(
+        bank = Noise.join(
             tuple(
                 make_noise(scan, wind_speed=u, yaw=0.0, gain=design_matrix(scan.at_yaw(0.0)) * (1.0 - change))
                 for u, change in ((5.0, 0.1), (10.0, 0.3))
@@ -295,7 +295,7 @@ class TestNet:
         """Rank one at each of five states, turning from state to state: third order leaves negative eigenvalues."""
         scan = load_scan("4-beam")
         vectors = [np.cos(turn + np.arange(4.0)) for turn in (0.0, 1.1, 2.5, 2.9, 4.0)]
-        bank = NoiseBank(
+        bank = Noise.join(
             tuple(make_noise(scan, wind_speed=2.0 ** (i + 1), covariance=np.outer(v, v)) for i, v in enumerate(vectors))
         )
         noise = bank.for_records(np.geomspace(2.0, 32.0, 41), 0.0)
@@ -317,17 +317,17 @@ class TestNet:
             for scale in (30.0, 60.0)
             for gamma in (2.0, 3.0)
         ]
-        bank = NoiseBank(tuple(models))
+        bank = Noise.join(tuple(models))
         noise = bank.for_records([7.0], [0.0], length_scale=[np.sqrt(1800.0)], gamma=[2.5])
         np.testing.assert_allclose(noise.bias, -0.045)
         one = bank.at_turbulence(np.sqrt(1800.0), 2.5)
-        assert len(one.models) == 2
+        assert len(one) == 2
         assert (one.turbulence.length_scale, one.turbulence.gamma) == (np.sqrt(1800.0), 2.5)
         np.testing.assert_allclose(one.for_records([7.0], [0.0]).bias, -0.045)
         with pytest.raises(InputError, match="spans length_scale 30 to 60: give the length_scale of the records"):
             bank.for_records([7.0], [0.0])
-        with pytest.raises(InputError, match="must be of one record length and one turbulence"):
-            NoiseBank(tuple(models[:3]))
+        with pytest.raises(InputError, match="3 turbulences and form no net; only a net"):
+            Noise.join(tuple(models[:3]))
         with pytest.raises(InputError, match="form no net, so nothing can be interpolated"):
             TestBank().make_bank().at_turbulence(61.0, 3.2)
         bank.save(tmp_path / "bank.nc")
@@ -338,7 +338,7 @@ class TestNet:
     def test_single_precision(self, tmp_path):
         scan = load_scan("50-beam")
         root = np.random.default_rng(3).normal(size=(50, 3))  # rank 3: rounding makes eigenvalues negative
-        bank = NoiseBank(
+        bank = Noise.join(
             tuple(
                 make_noise(scan, wind_speed=u, covariance=root @ root.T / u, gain=1.01 * design_matrix(scan))
                 for u in (5.0, 10.0)
@@ -348,11 +348,10 @@ class TestNet:
         bank.save(tmp_path / "single.nc", single_precision=True)
         assert (tmp_path / "single.nc").stat().st_size < 0.6 * (tmp_path / "double.nc").stat().st_size
         again = load_noise(tmp_path / "single.nc")
-        for have, want in zip(again.models, bank.models, strict=True):
-            size = np.abs(want.covariance).max()
-            np.testing.assert_allclose(have.covariance, want.covariance, atol=1e-7 * size)
-            np.testing.assert_allclose(have.gain, want.gain, atol=1e-7)
-            np.testing.assert_allclose(have.bias, want.bias, rtol=1e-7)
+        for have, want in zip(again.covariance, bank.covariance, strict=True):
+            np.testing.assert_allclose(have, want, atol=1e-7 * np.abs(want).max())
+        np.testing.assert_allclose(again.gain, bank.gain, atol=1e-7)
+        np.testing.assert_allclose(again.bias, bank.bias, rtol=1e-7)
 
 
 class TestWrongScan:
@@ -408,7 +407,7 @@ class TestInvalidNumbers:
         assert caught.value.smallest_eigenvalue == pytest.approx(-1.0)
 
     def test_singular_covariance_is_accepted(self):
-        assert make_noise(load_scan("2-beam"), covariance=np.full((2, 2), 0.06)).covariance[0, 1] == 0.06
+        assert make_noise(load_scan("2-beam"), covariance=np.full((2, 2), 0.06)).covariance[0, 0, 1] == 0.06
 
     @pytest.mark.parametrize(
         ("change", "message"),
@@ -421,10 +420,13 @@ class TestInvalidNumbers:
             ({"beam": []}, "at least one"),
             ({"scan_geometry": {"beam": [0, 1]}}, "'direction' is missing; take it from Scan.geometry"),
             ({"wind_speed": 0.0}, "Invalid wind_speed 0.0 m/s"),
-            ({"yaw": np.inf}, "Invalid yaw inf rad"),
+            ({"yaw": np.inf}, "Invalid yaw in noise of scan '2-beam': the entry at .* is inf"),
             ({"duration": -1.0}, "Invalid duration -1.0 s"),
-            ({"method": "guess"}, "Unknown method of a noise model 'guess': it must be one of boxes, theory, given"),
+            ({"method": "guess"}, "Unknown method of a noise 'guess': it must be one of boxes, theory, given"),
             ({"n_realizations": 0.0}, "Invalid n_realizations 0.0"),
+            ({"length_scale": 30.0}, "Invalid turbulence .*: its length_scale is 61 and that of the first state is 30"),
+            ({"state_details": [{}, {}]}, "Invalid state_details .*: 2 for 1 states; give one for each"),
+            ({"wind_speed": [8.0, 9.0]}, "Invalid bias"),
             ({"details": {"x": object()}}, "details .* must be plain JSON values"),
         ],
     )

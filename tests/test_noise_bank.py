@@ -1,4 +1,4 @@
-"""Banks by theory: their stated errors, their cache, and which noise records get from them."""
+"""Nets by theory: their stated errors, their cache, and which noise records get from them."""
 
 from dataclasses import replace
 
@@ -7,18 +7,17 @@ import pytest
 import xarray as xr
 from scenes import records_of
 
-from bayes_rs.calibration import bank as noise_bank
-from bayes_rs.calibration.bank import measure_interpolation, theory_bank
-from bayes_rs.calibration.calibrating import METHODS
-from bayes_rs.calibration.choice import noise_for_records
-from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.errors import InputError
 from bayes_rs.fits import fitting
 from bayes_rs.fits.fitting import fit
 from bayes_rs.geometry.probe import ContinuousWaveProbe
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.model import NoiseBank, NoiseModel
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise import at_states, net
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.choice import noise_for_records
+from bayes_rs.noise.net import measure_interpolation, refined_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.turbulence.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 
@@ -28,10 +27,10 @@ FREE = {"wind_speed": [4.0, 18.0], "yaw_deg": [-25.0, 33.0], "cache": False}
 
 @pytest.fixture
 def no_theory(monkeypatch):
-    def fail(*_arguments):
+    def fail(*_arguments, **_options):
         raise AssertionError("noise was calculated")
 
-    monkeypatch.setitem(METHODS, "theory", replace(METHODS["theory"], make=fail))
+    monkeypatch.setattr(at_states, "theory_noise", fail)
 
 
 def relative_distance(have, want):
@@ -42,74 +41,76 @@ class TestStatedError:
     @pytest.mark.parametrize("name", ["6-beam", "pulsed-4-beam"])
     def test_holds_at_random_states(self, name):
         scan = load_scan(name)
-        bank = theory_bank(scan, FLOW, **FREE)
+        bank = refined_noise(scan, FLOW, **FREE)
         assert bank.interpolation_error <= 0.01
         rng = np.random.default_rng(2)
         speed, yaw = np.exp(rng.uniform(np.log(4.0), np.log(18.0), 25)), np.deg2rad(rng.uniform(-25.0, 33.0, 25))
         noise = bank.for_records(speed, yaw)
         truth = [theory_noise(scan, FLOW, wind_speed=u, yaw=y) for u, y in zip(speed, yaw, strict=True)]
-        error = relative_distance(noise.covariance, np.stack([model.covariance for model in truth]))
+        error = relative_distance(noise.covariance, np.concatenate([one.covariance for one in truth]))
         # the error is measured in the middle of the cells, which need not be the very worst place of one
         assert np.max(error) < 1.2 * bank.interpolation_error
         assert np.max(error) > 0.1 * bank.interpolation_error
-        np.testing.assert_allclose(noise.bias, [model.bias for model in truth], atol=2e-3)
+        np.testing.assert_allclose(noise.bias, [one.bias[0] for one in truth], atol=2e-3)
         # the design matrix is exact at every yaw; what a probe changes in it, up to a fifth, is interpolated over 20°
         exact = not load_scan(name).probe.parameters()
-        np.testing.assert_allclose(noise.gain, [model.gain for model in truth], atol=1e-8 if exact else 5e-3)
+        np.testing.assert_allclose(noise.gain, [one.gain[0] for one in truth], atol=1e-8 if exact else 5e-3)
 
     def test_some_beams_stand_for_all(self):
         scan = load_scan("51-beam").select(np.arange(0, 50, 2))
-        bank = theory_bank(scan, FLOW, wind_speed=[5.0, 10.0], yaw_deg=[0.0, 20.0], error_beams=5, cache=False)
-        assert bank.models[0].details["interpolation_error_beams"] == 5
+        bank = refined_noise(scan, FLOW, wind_speed=[5.0, 10.0], yaw_deg=[0.0, 20.0], error_beams=5, cache=False)
+        assert bank.details["interpolation_error_beams"] == 5
         assert measure_interpolation(bank, scan) == pytest.approx(bank.interpolation_error, rel=0.5)
 
     def test_the_net_is_refined_until_it_is_good_enough(self):
-        coarse, fine = (theory_bank(load_scan("staring"), FLOW, **FREE, tolerance=t) for t in (0.05, 3e-4))
+        coarse, fine = (refined_noise(load_scan("staring"), FLOW, **FREE, tolerance=t) for t in (0.05, 3e-4))
         assert 3e-4 < coarse.interpolation_error <= 0.05
         assert fine.interpolation_error <= 3e-4
-        assert len(fine.models) > len(coarse.models)
-        kept = {(m.wind_speed, round(m.yaw, 9)) for m in coarse.models}
-        assert kept < {(m.wind_speed, round(m.yaw, 9)) for m in fine.models}
+        assert len(fine) > len(coarse)
+        kept, all_of_them = (
+            set(zip(noise.wind_speed.tolist(), noise.yaw.round(9).tolist(), strict=True)) for noise in (coarse, fine)
+        )
+        assert kept < all_of_them
         assert measure_interpolation(fine, load_scan("staring")) == pytest.approx(fine.interpolation_error)
 
     def test_a_limit_of_states_is_told_by_the_error(self, monkeypatch):
-        monkeypatch.setattr(noise_bank, "_MOST_STATES", 20)
-        bank = theory_bank(load_scan("staring"), FLOW, **FREE, tolerance=1e-6)
-        assert len(bank.models) <= 20
+        monkeypatch.setattr(net, "_MOST_STATES", 20)
+        bank = refined_noise(load_scan("staring"), FLOW, **FREE, tolerance=1e-6)
+        assert len(bank) <= 20
         assert bank.interpolation_error > 1e-6
 
     def test_ranges_without_extent_are_one_node(self):
-        bank = theory_bank(load_scan("staring"), FLOW, wind_speed=[7.3, 7.3], yaw_deg=[-10.0, 10.0], cache=False)
+        bank = refined_noise(load_scan("staring"), FLOW, wind_speed=[7.3, 7.3], yaw_deg=[-10.0, 10.0], cache=False)
         assert np.unique(bank.wind_speed).tolist() == [7.3]
-        one = theory_bank(load_scan("staring"), FLOW, wind_speed=[7.3], cache=False)
-        assert len(one.models) == 1
-        assert measure_interpolation(theory_bank(load_scan("2-beam"), FLOW, **FREE), load_scan("2-beam")) <= 0.01
+        one = refined_noise(load_scan("staring"), FLOW, wind_speed=[7.3], cache=False)
+        assert len(one) == 1
+        assert measure_interpolation(refined_noise(load_scan("2-beam"), FLOW, **FREE), load_scan("2-beam")) <= 0.01
 
     def test_one_length_scale_that_is_not_the_turbulences_own(self, tmp_path):
         scan, other = load_scan("staring"), replace(FLOW, length_scale=13.9)
         for _ in range(2):  # calculated, and from the cache
-            bank = theory_bank(scan, FLOW, wind_speed=[8.0, 9.0], length_scale=[13.9], cache=tmp_path)
-            assert {model.turbulence.length_scale for model in bank.models} == {13.9}
-        expected = theory_bank(scan, other, wind_speed=[8.0, 9.0], cache=False)
-        np.testing.assert_array_equal(bank.models[0].covariance, expected.models[0].covariance)
+            bank = refined_noise(scan, FLOW, wind_speed=[8.0, 9.0], length_scale=[13.9], cache=tmp_path)
+            assert set(bank.length_scale.tolist()) == {13.9}
+        expected = refined_noise(scan, other, wind_speed=[8.0, 9.0], cache=False)
+        np.testing.assert_array_equal(bank.covariance, expected.covariance)
 
     def test_length_scale_and_anisotropy_are_axes_too(self):
         scan = load_scan("2-beam")
-        bank = theory_bank(
+        bank = refined_noise(
             scan, FLOW, wind_speed=[9.0], length_scale=[35.0, 70.0], gamma=[3.1, 3.9], tolerance=0.02, cache=False
         )
         assert bank.interpolation_error <= 0.02
         noise = bank.for_records([9.0], [scan.yaw], length_scale=[50.0], gamma=[3.5])
         truth = theory_noise(scan, replace(FLOW, length_scale=50.0, gamma=3.5), wind_speed=9.0)
-        assert relative_distance(noise.covariance[0], truth.covariance) < 1.2 * bank.interpolation_error
+        assert relative_distance(noise.covariance[0], truth.covariance[0]) < 1.2 * bank.interpolation_error
 
     def test_a_probe_is_interpolated(self):
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
-        bank = theory_bank(scan, FLOW, wind_speed=[8.0, 14.0], yaw_deg=[0.0, 20.0], duration=120.0, cache=False)
+        bank = refined_noise(scan, FLOW, wind_speed=[8.0, 14.0], yaw_deg=[0.0, 20.0], duration=120.0, cache=False)
         noise = bank.for_records([11.0], np.deg2rad([9.0]))
         truth = theory_noise(scan, FLOW, wind_speed=11.0, yaw=np.deg2rad(9.0), duration=120.0)
-        assert relative_distance(noise.covariance[0], truth.covariance) < 0.012
-        np.testing.assert_allclose(noise.gain[0], truth.gain, atol=2e-3)
+        assert relative_distance(noise.covariance[0], truth.covariance[0]) < 0.012
+        np.testing.assert_allclose(noise.gain[0], truth.gain[0], atol=2e-3)
         assert np.max(noise.gain[0, :, 0] / load_scan("2-beam").line_of_sight[:, 0] ** 2) < 1.0
 
     @pytest.mark.parametrize(
@@ -123,24 +124,24 @@ class TestStatedError:
     )
     def test_message(self, change, message):
         with pytest.raises(InputError, match=message):
-            theory_bank(load_scan("staring"), FLOW, **{**FREE, **change})
+            refined_noise(load_scan("staring"), FLOW, **{**FREE, **change})
 
     def test_states_without_a_net_cannot_be_measured(self):
         one = theory_noise(load_scan("staring"), FLOW, wind_speed=9.0)
         with pytest.raises(InputError, match="form no net"):
-            measure_interpolation(NoiseBank((one,)), load_scan("staring"))
+            measure_interpolation(one, load_scan("staring"))
 
 
 class TestCache:
     def make(self, folder, **changes):
         options = {**FREE, "cache": folder, **changes}
         scan = options.pop("scan", load_scan("2-beam"))
-        return theory_bank(scan, options.pop("turbulence", FLOW), **options)
+        return refined_noise(scan, options.pop("turbulence", FLOW), **options)
 
     @pytest.mark.usefixtures("no_theory")
     def test_second_time_nothing_is_calculated(self, tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
-            patch.setitem(METHODS, "theory", REAL)
+            patch.setattr(at_states, "theory_noise", theory_noise)
             first = self.make(tmp_path)
         assert self.make(tmp_path).to_dataset().identical(first.to_dataset())
         # the nodes do not move with the records: another day in the same cells
@@ -163,7 +164,7 @@ class TestCache:
     @pytest.mark.usefixtures("no_theory")
     def test_anything_else_is_calculated(self, tmp_path, changes, monkeypatch):
         with monkeypatch.context() as patch:
-            patch.setitem(METHODS, "theory", REAL)
+            patch.setattr(at_states, "theory_noise", theory_noise)
             self.make(tmp_path)
         with pytest.raises(AssertionError, match="noise was calculated"):
             self.make(tmp_path, **changes)
@@ -174,9 +175,6 @@ class TestCache:
         assert self.make(tmp_path).to_dataset().identical(first.to_dataset())
 
 
-REAL = METHODS["theory"]
-
-
 class TestForRecords:
     def records(self, wind_speed, yaw, duration=600.0):
         return xr.Dataset({"wind_speed": ("record", wind_speed), "yaw": ("record", yaw)}, attrs={"duration": duration})
@@ -184,33 +182,33 @@ class TestForRecords:
     @pytest.mark.usefixtures("no_theory")
     def test_shipped(self):
         records = self.records([4.0, 9.0, np.nan, 24.0], [-50.0, 0.0, 0.0, 33.0])
-        noise, words = noise_for_records(records, load_scan("6-beam"), FLOW)
-        assert isinstance(noise, NoiseBank)
-        assert words == (
-            "noise: shipped, fu-2022, method theory, 35 states (2.5 to 40 m/s, yaw -60 to 60°); "
+        noise = noise_for_records(records, load_scan("6-beam"), FLOW)
+        assert noise.in_words(records["wind_speed"], np.deg2rad(records["yaw"])) == (
+            "noise: shipped, fu-2022, method theory, 35 states (2.5 to 40 m/s, yaw -60 to 60°, L 61 m); "
             "interpolated, with an error of 0.72 %"
         )
 
     @pytest.mark.usefixtures("no_theory")
     def test_shipped_for_some_of_the_beams(self):
-        noise, _ = noise_for_records(self.records([4.0, 9.0], [0.0, 5.0]), load_scan("6-beam").select([4, 1]), FLOW)
+        noise = noise_for_records(self.records([4.0, 9.0], [0.0, 5.0]), load_scan("6-beam").select([4, 1]), FLOW)
         assert noise.beam.tolist() == [4, 1]
 
     def test_shipped_is_close_to_theory_and_apart_from_boxes(self):
         scan = load_scan("pulsed-4-beam")
         bank = find_shipped_noise(scan, FLOW, method="theory")
         truth = theory_noise(scan, FLOW, wind_speed=7.7, yaw=0.41)
-        error = relative_distance(bank.for_records([7.7], [0.41]).covariance[0], truth.covariance)
+        error = relative_distance(bank.for_records([7.7], [0.41]).covariance[0], truth.covariance[0])
         assert error < 1.2 * bank.interpolation_error
         points = load_scan("pulsed-4-beam@probe=point")
-        assert find_shipped_noise(points, FLOW, method="boxes").models[0].method == "boxes"
+        assert find_shipped_noise(points, FLOW, method="boxes").method == "boxes"
         assert find_shipped_noise(load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0), FLOW) is None
         with pytest.raises(InputError, match="Unknown method of shipped noise 'lines'"):
             find_shipped_noise(scan, FLOW, method="lines")
 
     def test_records_beyond_the_shipped_bank_get_their_own(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
-        noise, words = noise_for_records(self.records([0.2, 9.0, 30.0], [-70.0, 0.0, 5.0]), load_scan("staring"), FLOW)
+        noise = noise_for_records(self.records([0.2, 9.0, 30.0], [-70.0, 0.0, 5.0]), load_scan("staring"), FLOW)
+        words = noise.in_words([0.2, 9.0, 30.0], np.deg2rad([-70.0, 0.0, 5.0]))
         assert np.rad2deg(noise.yaw.min()) == pytest.approx(-80.0)
         assert noise.wind_speed.min() == 0.625
         assert "noise: calculated, fu-2022, method theory, " in words
@@ -218,28 +216,27 @@ class TestForRecords:
 
     def test_one_state_is_calculated_alone(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
-        noise, words = noise_for_records(self.records([8.3, 8.3], [4.0, 4.0]), load_scan("2-beam"), FLOW)
-        assert isinstance(noise, NoiseModel)
-        assert noise.wind_speed == 8.3
-        assert words == "noise: calculated, fu-2022, method theory, 1 state (8.3 m/s, yaw 4°)"
+        noise = noise_for_records(self.records([8.3, 8.3], [4.0, 4.0]), load_scan("2-beam"), FLOW)
+        assert noise.wind_speed.tolist() == [8.3]
+        assert noise.in_words() == "noise: calculated, fu-2022, method theory, 1 state (8.3 m/s, yaw 4°, L 61 m)"
 
     def test_one_length_scale_of_all_records(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
         records, scan = self.records([8.0, 9.0], [0.0, 5.0]), load_scan("2-beam")
         for _ in range(2):
-            noise, words = noise_for_records(records, scan, FLOW, length_scale=[13.9, 13.9])
+            noise = noise_for_records(records, scan, FLOW, length_scale=[13.9, 13.9])
             assert noise.for_records([8.0, 9.0], [0.0, 0.1], length_scale=[13.9, 13.9]).covariance.shape == (2, 2, 2)
-            assert {model.turbulence.length_scale for model in noise.models} == {13.9}
-            assert ", L 13.9 m); interpolated" in words
+            assert set(noise.length_scale.tolist()) == {13.9}
+            assert ", L 13.9 m); interpolated" in noise.in_words()
         with pytest.raises(InputError, match="Invalid length_scale"):
             noise_for_records(records, scan, FLOW, length_scale=[-1.0])
 
     def test_another_turbulence(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
         flow = MannTurbulence(dissipation=0.05, length_scale=30.0, gamma=2.5, name="mine")
-        noise, words = noise_for_records(self.records([8.0, 9.0], [0.0, 5.0]), load_scan("2-beam"), flow)
-        assert "calculated, mine" in words
-        assert {model.turbulence.length_scale for model in noise.models} == {30.0}
+        noise = noise_for_records(self.records([8.0, 9.0], [0.0, 5.0]), load_scan("2-beam"), flow)
+        assert "calculated, mine" in noise.in_words()
+        assert set(noise.length_scale.tolist()) == {30.0}
         assert noise.interpolation_error <= 0.01
 
 
@@ -295,7 +292,7 @@ class TestFit:
     @pytest.fixture
     def scene(self):
         scan = load_scan("2-beam")
-        bank = theory_bank(scan, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], cache=False)
+        bank = refined_noise(scan, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], cache=False)
         records = records_of(np.random.default_rng(1).uniform(0.8, 1.2, (4, 2)), scan)
         records["wind_speed"][:] = [6.0, 7.7, 15.0, 31.0]
         records["yaw"][:] = [3.0, -12.0, 0.0, 5.0]
@@ -339,7 +336,7 @@ class TestFit:
         models[1] = replace(models[1], covariance=4.0 * models[0].covariance)
         records = records_of(np.ones((2, 1)), scan)
         records["wind_speed"][:] = 9.0
-        bank = NoiseBank(tuple(models))
+        bank = Noise.join(tuple(models))
         with pytest.raises(InputError, match="spans length_scale 30 to 120"):
             fit(records, scan, noise=bank, seed=1)
         records["length_scale"] = ("record", [30.0, 120.0])

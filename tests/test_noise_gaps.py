@@ -8,8 +8,8 @@ import pytest
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import ContinuousWaveProbe
 from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.gaps import gap_noise
-from bayes_rs.noise.theory import theory_noise
 from bayes_rs.turbulence.mann import load_turbulence
 from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace, toeplitz_inner, toeplitz_trace
 from bayes_rs.turbulence.two_point import radial_covariance
@@ -74,8 +74,8 @@ class TestAgainstDense:
         scan, present, options = scene
         noise = gap_noise(scan, FLOW, present, detrend=detrend, **options)
         covariance, mean, _, times = dense(scan, present, options["wind_speed"], detrend)
-        np.testing.assert_allclose(noise.covariance, covariance, rtol=1e-9)
-        np.testing.assert_allclose((1.0 + noise.bias) * (noise.gain @ FLOW.stresses()), mean, rtol=1e-9)
+        np.testing.assert_allclose(noise.covariance[0], covariance, rtol=1e-9)
+        np.testing.assert_allclose((1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses()), mean, rtol=1e-9)
         counts = [len(t) for t in times]
         assert noise.details["samples"] == [min(counts), max(counts)]
 
@@ -94,8 +94,8 @@ class TestAgainstDense:
         relative = variances / mean - 1.0
         products = relative[:, :, None] * relative[:, None]
         error = products.std(axis=0) / np.sqrt(n_draw)
-        assert np.all(np.abs(products.mean(axis=0) - noise.covariance) < 4.5 * error)  # six different entries
-        assert np.all(error < 0.08 * noise.covariance)
+        assert np.all(np.abs(products.mean(axis=0) - noise.covariance[0]) < 4.5 * error)  # six different entries
+        assert np.all(error < 0.08 * noise.covariance[0])
 
     @pytest.mark.parametrize("detrend", ["mean", "linear"])
     def test_sums_without_gaps_are_those_of_whole_matrices(self, detrend):
@@ -118,9 +118,9 @@ class TestLaws:
         scan = load_scan("6-beam", yaw_deg=10.0)
         whole = theory_noise(scan, FLOW, wind_speed=9.0)
         noise = gap_noise(scan, FLOW, np.ones((6, 600), dtype=bool), wind_speed=9.0)
-        np.testing.assert_allclose(noise.covariance, whole.covariance, rtol=1e-9)
-        np.testing.assert_allclose(noise.gain, whole.gain, atol=1e-11)
-        np.testing.assert_array_equal(noise.bias, whole.bias)
+        np.testing.assert_allclose(noise.covariance[0], whole.covariance[0], rtol=1e-9)
+        np.testing.assert_allclose(noise.gain[0], whole.gain[0], atol=1e-11)
+        np.testing.assert_array_equal(noise.bias[0], whole.bias[0])
 
     def test_half_of_the_record_at_one_end_is_a_record_of_half_the_length(self):
         scan = replace(load_scan("6-beam"), beam_time=np.zeros(6))
@@ -128,18 +128,18 @@ class TestLaws:
         present[:, 300:] = True
         half = theory_noise(scan, FLOW, wind_speed=9.0, duration=300.0)
         noise = gap_noise(scan, FLOW, present, wind_speed=9.0)
-        np.testing.assert_allclose(noise.covariance, half.covariance, rtol=1e-9)
-        ratio = (1.0 + half.bias) / (1.0 + theory_noise(scan, FLOW, wind_speed=9.0).bias)
-        np.testing.assert_allclose(noise.gain, half.gain * ratio[:, None], atol=1e-11)
+        np.testing.assert_allclose(noise.covariance[0], half.covariance[0], rtol=1e-9)
+        ratio = (1.0 + half.bias[0]) / (1.0 + theory_noise(scan, FLOW, wind_speed=9.0).bias[0])
+        np.testing.assert_allclose(noise.gain[0], half.gain[0] * ratio[:, None], atol=1e-11)
 
     def test_probe_volumes_have_gaps_too(self):
         scan = replace(load_scan("2-beam"), probe=ContinuousWaveProbe(rayleigh_length=6.1))
         whole = theory_noise(scan, FLOW, wind_speed=9.0, duration=60.0)
         noise = gap_noise(scan, FLOW, np.ones((2, 60), dtype=bool), wind_speed=9.0, duration=60.0)
-        np.testing.assert_allclose(noise.covariance, whole.covariance, rtol=1e-9)
-        np.testing.assert_allclose(noise.gain, whole.gain, rtol=1e-9)
+        np.testing.assert_allclose(noise.covariance[0], whole.covariance[0], rtol=1e-9)
+        np.testing.assert_allclose(noise.gain[0], whole.gain[0], rtol=1e-9)
         as_point = gap_noise(load_scan("2-beam"), FLOW, np.ones((2, 60), dtype=bool), wind_speed=9.0, duration=60.0)
-        assert np.abs(as_point.covariance / noise.covariance - 1.0).max() > 0.01
+        assert np.abs(as_point.covariance[0] / noise.covariance[0] - 1.0).max() > 0.01
 
 
 class TestHowMuchGapsMatter:
@@ -149,7 +149,7 @@ class TestHowMuchGapsMatter:
         scan = load_scan("6-beam")
         whole = theory_noise(scan, FLOW, wind_speed=10.0)
         noise = gap_noise(scan, FLOW, present, wind_speed=10.0)
-        return np.diag(noise.covariance) / np.diag(whole.covariance) - 1.0, noise.details["gap_gain"]
+        return np.diag(noise.covariance[0]) / np.diag(whole.covariance[0]) - 1.0, noise.details["gap_gain"]
 
     def test_a_tenth_at_random_changes_about_half_a_percent(self):
         change, gain = self.change(np.random.default_rng(4).random((6, 600)) > 0.1)

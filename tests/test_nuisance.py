@@ -21,7 +21,7 @@ from bayes_rs import (
 )
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.priors.registry import WeakPrior
 
@@ -78,10 +78,13 @@ class TestLaws:
         scan, noise, stress, rng = scene("6-beam", 3, 4)
         variance = draw_variances(stress, scan, noise, rng)
         shape = (4, scan.n_beam)
-        gain = np.broadcast_to(noise.gain, (*shape, 6))
+        gain = np.broadcast_to(noise.gain[0], (*shape, 6))
         parts = tuple(
             log_normal_likelihood(
-                variance, np.ones(shape, dtype=bool), gain, np.broadcast_to(k * noise.covariance, (*shape, scan.n_beam))
+                variance,
+                np.ones(shape, dtype=bool),
+                gain,
+                np.broadcast_to(k * noise.covariance[0], (*shape, scan.n_beam)),
             )
             for k in (0.5, 1.0, 2.0)
         )
@@ -164,12 +167,13 @@ class TestCalibration:
         """A bank over L whose covariance doubles with it; each record has an L of its own, which nobody knows."""
         scan, noise, stress, rng = scene("6-beam", 6)
         scales = np.array([15.0, 30.0, 60.0, 120.0, 240.0])
-        bank = NoiseBank(
+        bank = Noise.join(
             tuple(
                 replace(
                     noise,
-                    covariance=noise.covariance * scale / 60.0,
+                    covariance=noise.covariance[0] * scale / 60.0,
                     turbulence=replace(noise.turbulence, length_scale=scale),
+                    length_scale=scale,
                 )
                 for scale in scales
             )
@@ -196,7 +200,7 @@ class TestCalibration:
     def test_inflation_that_is_not_known(self):
         scan, noise, stress, rng = scene("6-beam", 7)
         inflation = 5.0 / rng.chisquare(5.0, N_RECORD)
-        log_covariance = np.log1p(noise.covariance)
+        log_covariance = np.log1p(noise.covariance[0])
         mean = np.log(radial_variance(scan, stress)) - 0.5 * np.diag(log_covariance)
         normal = rng.multivariate_normal(np.zeros(scan.n_beam), log_covariance, N_RECORD, method="eigh")
         records = records_of(np.exp(mean + np.sqrt(inflation)[:, None] * normal), scan)

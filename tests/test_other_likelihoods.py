@@ -24,7 +24,7 @@ def stress():
 
 def build(name, scan, variance, used=None, *, covariance=None, offset=0.0, **options):
     n_record, n_beam = variance.shape
-    matrix = plain_noise(scan).covariance if covariance is None else covariance
+    matrix = plain_noise(scan).covariance[0] if covariance is None else covariance
     return MAKERS[name](
         variance,
         np.ones_like(variance, dtype=bool) if used is None else used,
@@ -50,7 +50,7 @@ class TestTextbook:
     def test_gaussian(self, name, stress):
         """Without surplus beams z = Uᵀ y/m₀ is a one-to-one map: densities differ by a constant, the Jacobian."""
         scan = load_scan(name)
-        covariance, matrix = plain_noise(scan).covariance, design_matrix(scan)
+        covariance, matrix = plain_noise(scan).covariance[0], design_matrix(scan)
         variance = records_of(scan, stress)
         expected = np.array(
             [
@@ -99,7 +99,7 @@ class TestTextbook:
         values, vectors = np.linalg.eigh(gradient @ gradient.T)
         basis = vectors[:, values > 1e-12 * values[-1]]
         variance = records_of(scan, stress)
-        covariance = plain_noise(scan).covariance
+        covariance = plain_noise(scan).covariance[0]
         if indefinite:
             aside = np.random.default_rng(3).standard_normal(scan.n_beam)
             aside -= basis @ (basis.T @ aside)
@@ -119,7 +119,7 @@ class TestTextbook:
 
     def test_plug_in_noise_is_that_of_the_fitted_variances(self, stress):
         scan = load_scan("6-beam")
-        covariance, matrix = plain_noise(scan).covariance, design_matrix(scan)
+        covariance, matrix = plain_noise(scan).covariance[0], design_matrix(scan)
         variance = records_of(scan, stress)
         used = np.ones_like(variance, dtype=bool)
         data = beam_data(variance, used, np.broadcast_to(matrix, (7, 6, 6)), 0.02)
@@ -252,7 +252,7 @@ class TestEveryLikelihood:
         spoiled = variance.copy()
         spoiled[:, 2] = np.nan
         some = np.array([0, 1, 3, 4, 5])
-        smaller = build(name, scan.select(some), variance[:, some], covariance=noise.covariance[np.ix_(some, some)])
+        smaller = build(name, scan.select(some), variance[:, some], covariance=noise.covariance[0, np.ix_(some, some)])
         extra = np.full((7, 7), 0.02)
         np.testing.assert_allclose(
             build(name, scan, spoiled, used).log_density(at_all(stress), extra),
@@ -303,7 +303,7 @@ class TestTails:
     def test_inflation_is_a_larger_k(self, name, stress):
         scan = load_scan("6-beam")
         variance = records_of(scan, stress)
-        covariance = plain_noise(scan).covariance
+        covariance = plain_noise(scan).covariance[0]
         inflated = build(name, scan, variance, inflation=1.5).log_density(at_all(stress))
         larger = build(name, scan, variance, covariance=1.5 * covariance).log_density(at_all(stress))
         np.testing.assert_allclose(inflated, larger, rtol=1e-12)
@@ -311,7 +311,7 @@ class TestTails:
     def test_inflation_of_the_log_normal_scales_the_log_covariance_and_keeps_the_mean(self, stress):
         scan = load_scan("6-beam")
         variance = records_of(scan, stress)
-        covariance = plain_noise(scan).covariance
+        covariance = plain_noise(scan).covariance[0]
         inflated = build("log-normal", scan, variance, inflation=1.5).log_density(at_all(stress))
         larger = build("log-normal", scan, variance, covariance=(1.0 + covariance) ** 1.5 - 1.0)
         np.testing.assert_allclose(inflated, larger.log_density(at_all(stress)), rtol=1e-9)
@@ -328,12 +328,12 @@ class TestTails:
         matrix = design_matrix(scan)
         for i in range(7):
             data = beam_data(variance[[i]], np.ones((1, 4), dtype=bool), matrix[None], 0.0)
-            own = fitted_variance(data, plain_noise(scan).covariance[None])[0]
+            own = fitted_variance(data, plain_noise(scan).covariance[0, None])[0]
             scale = np.log(own if name == "gaussian-plugin" else matrix @ REFERENCE_STRESS).sum()
             for j in range(7):
                 mean = matrix @ stress[j]
                 size = own if name == "gaussian-plugin" else mean
-                noise = size[:, None] * plain_noise(scan).covariance * size
+                noise = size[:, None] * plain_noise(scan).covariance[0] * size
                 whitened = np.linalg.solve(np.linalg.cholesky(noise), variance[i] - mean)
                 terms = np.exp(-0.5 * (whitened @ whitened) / factor) / factor**2
                 log_mixture = np.log(np.sum(weight * terms)) - 0.5 * np.linalg.slogdet(2.0 * np.pi * noise)[1]
@@ -374,7 +374,7 @@ class TestPlugIn:
         data = beam_data(
             variance, np.ones_like(variance, dtype=bool), np.broadcast_to(matrix, (*variance.shape, 6)), 0.0
         )
-        fitted = fitted_variance(data, np.broadcast_to(noise.covariance, (len(truth), 4, 4)))
+        fitted = fitted_variance(data, np.broadcast_to(noise.covariance[0], (len(truth), 4, 4)))
         error = np.log(fitted / (truth @ matrix.T)).std()
         assert error < 0.9 * np.log(variance / (truth @ matrix.T)).std()
 

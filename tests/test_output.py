@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from bayes_rs import InputError
-from bayes_rs.output import RUN_FILE, output_file, output_folder, write_run
+from bayes_rs.ledger import LEDGER
+from bayes_rs.output import output_file, output_folder, write_run
+from bayes_rs.result_folder import RUN_FILE
 
 
 def partials(folder):
@@ -16,9 +18,9 @@ def partials(folder):
 
 
 def earlier_run(folder, text="earlier"):
-    folder.mkdir()
-    (folder / "summary.csv").write_text(text)
-    write_run(folder, {"seed": 1})
+    with output_folder(folder) as part:
+        (part / "summary.csv").write_text(text)
+        write_run(part, {"seed": 1})
     return folder
 
 
@@ -80,7 +82,8 @@ class TestFolder:
         with output_folder(final, overwrite=True) as folder:
             (folder / "new.txt").write_text("new")
             assert (final / "summary.csv").read_text() == "earlier"  # until the new one is complete
-        assert [path.name for path in final.iterdir()] == ["new.txt"]
+        assert sorted(path.name for path in final.iterdir()) == [LEDGER, "new.txt"]
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
     def test_overwrite_replaces_an_empty_folder(self, tmp_path):
         (tmp_path / "out").mkdir()
@@ -92,7 +95,7 @@ class TestFolder:
         final = tmp_path / "thesis"
         final.mkdir()
         (final / "chapter.tex").write_text("years of work")
-        message = rf"Output folder '.*thesis' was not made by bayes-rs \(it has no {RUN_FILE}\), so it is not replaced"
+        message = rf"Output folder '.*thesis' was not made by bayes-rs \(it has no {LEDGER}\), so it is not replaced"
         with pytest.raises(InputError, match=message):
             output_folder(final, overwrite=True).__enter__()
         assert (final / "chapter.tex").read_text() == "years of work"
@@ -218,7 +221,7 @@ class TestRunFile:
         with pytest.raises(ValueError, match="not JSON compliant"):
             write_run(tmp_path, {"a": float("nan")})
 
-    def test_it_marks_the_folder_as_ours(self, tmp_path):
+    def test_it_is_replaced_with_the_folder(self, tmp_path):
         with output_folder(tmp_path / "out") as folder:
             write_run(folder, {"seed": 1})
         with output_folder(tmp_path / "out", overwrite=True) as folder:

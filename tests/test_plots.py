@@ -8,8 +8,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, InputError, fit, load_scan, plot_corner, plot_stresses
-from bayes_rs.plot.plots import (
+from bayes_rs import STRESSES, InputError, corner, fit, load_scan, stresses
+from bayes_rs.plot.corner_plot import (
     POSTERIOR_COLOUR,
     PRIOR_COLOUR,
     TRUTH_COLOUR,
@@ -39,12 +39,12 @@ def result():
 
 @pytest.fixture(scope="module")
 def corner(result):
-    return plot_corner(result, 1, truth=TRUTH)
+    return corner(result, 1, truth=TRUTH)
 
 
 @pytest.fixture(scope="module")
 def figure(result):
-    return plot_stresses(result)
+    return stresses(result)
 
 
 def saved(figure, path):
@@ -92,7 +92,7 @@ class TestFindingRecords:
     def test_a_record_that_was_not_fitted(self, result):
         for record in (2, "2020-01-01T00:20"):
             with pytest.raises(InputError, match=r"Record 2 was not fitted \(no_usable_beam\): choose another one"):
-                plot_corner(result, record)
+                corner(result, record)
 
     def test_a_time_in_utc_by_its_letter(self, result):
         assert find_record(result, "2020-01-01T00:10Z") == 1
@@ -125,13 +125,13 @@ class TestCorner:
         np.testing.assert_array_equal(points, [[TRUTH[0], TRUTH[4]]])
         words = [text.get_text() for text in corner.legends[0].get_texts()]
         assert "truth" in words
-        without = plot_corner(result, 1)
+        without = corner(result, 1)
         assert "truth" not in [text.get_text() for text in without.legends[0].get_texts()]
         assert not any(to_hex(line.get_color()) == TRUTH_COLOUR for axis in without.axes for line in axis.lines)
 
     def test_limits_are_obeyed(self, result):
         limits = np.stack([[0.0, 0.1, 0.0, -1.0, -1.5, -0.5], [3.0, 2.0, 1.5, 1.0, 0.5, 0.7]], axis=1)
-        axes = np.array(plot_corner(result, 0, limits=limits).axes).reshape(6, 6)
+        axes = np.array(corner(result, 0, limits=limits).axes).reshape(6, 6)
         for row in range(6):
             for column in range(row + 1):
                 assert axes[row, column].get_xlim() == pytest.approx(tuple(limits[column]))
@@ -140,12 +140,12 @@ class TestCorner:
 
     def test_title_says_scan_record_start_and_prior(self, result, corner):
         assert corner.get_suptitle() == "6-beam, record 1, 2020-01-01T00:10 UTC, prior weak"
-        assert plot_corner(result, 0, title="mine").get_suptitle() == "mine"
+        assert corner(result, 0, title="mine").get_suptitle() == "mine"
 
     def test_it_can_be_drawn_into_a_part_of_a_figure(self, result):
         figure = Figure(figsize=(8.0, 4.0))
         left, right = figure.subfigures(1, 2)
-        assert plot_corner(result, 0, figure=left) is left
+        assert corner(result, 0, figure=left) is left
         assert (len(left.axes), len(right.axes)) == (36, 0)
 
     def test_saved_it_is_a_picture_of_posterior_prior_and_truth(self, corner, tmp_path):
@@ -156,9 +156,9 @@ class TestCorner:
 
     def test_bad_arrays_are_refused(self, result):
         with pytest.raises(InputError, match=r"Invalid truth of shape \(3,\): the shape must be \(6\)"):
-            plot_corner(result, 0, truth=[1.0, 0.5, 0.3])
+            corner(result, 0, truth=[1.0, 0.5, 0.3])
         with pytest.raises(InputError, match=r"Invalid limits of shape \(6,\): the shape must be \(6, 2\)"):
-            plot_corner(result, 0, limits=np.ones(6))
+            corner(result, 0, limits=np.ones(6))
 
 
 class TestLimits:
@@ -198,7 +198,7 @@ class TestStresses:
             np.testing.assert_array_equal(line.get_xdata(), result["posterior"].coords["time"])
 
     def test_bands_hold_what_they_say(self, result):
-        axis = plot_stresses(result, prob=0.8).axes[0]
+        axis = stresses(result, prob=0.8).axes[0]
         draws = result["posterior/stress"].sel(component="uu", record=[0, 1])
         for band, levels in zip(axis.collections, [(0.1, 0.9), (0.25, 0.75)], strict=True):
             heights = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
@@ -213,7 +213,7 @@ class TestStresses:
         assert "flagged record" in [text.get_text() for text in figure.legends[0].get_texts()]
 
     def test_nothing_is_marked_where_nothing_is_flagged(self):
-        figure = plot_stresses(fitted(2))
+        figure = stresses(fitted(2))
         assert not any(line.get_marker() == "|" for axis in figure.axes for line in axis.lines)
         assert "flagged record" not in [text.get_text() for text in figure.legends[0].get_texts()]
 
@@ -223,22 +223,22 @@ class TestStresses:
         assert has_colour(image, POSTERIOR_COLOUR)
 
     def test_one_record_is_a_point_with_bars(self, tmp_path):
-        figure = plot_stresses(fitted(1))
+        figure = stresses(fitted(1))
         assert [len(axis.containers) for axis in figure.axes] == [1] * 6
         assert is_a_picture(saved(figure, tmp_path / "one.png"))
 
     def test_no_fitted_record_is_a_figure_too(self, tmp_path):
-        figure = plot_stresses(fitted(2, broken=[0, 1]))
+        figure = stresses(fitted(2, broken=[0, 1]))
         assert min(saved(figure, tmp_path / "none.png").shape[:2]) > 400
 
     def test_without_times_the_records_are_numbered(self, result):
         tree = result.copy()
         for name in ("posterior", "observed_data"):
             tree[name] = tree[name].to_dataset().drop_vars("time")
-        axis = plot_stresses(tree).axes[-1]
+        axis = stresses(tree).axes[-1]
         assert axis.get_xlabel() == "record"
         assert axis.lines[0].get_xdata().tolist() == [0, 1, 2, 3]
-        assert isinstance(plot_stresses(result).axes[-1].xaxis.get_major_formatter(), mdates.ConciseDateFormatter)
+        assert isinstance(stresses(result).axes[-1].xaxis.get_major_formatter(), mdates.ConciseDateFormatter)
 
     def test_title_says_what_the_scan_sees(self, figure):
         assert figure.get_suptitle() == "6-beam: sees all six stresses; prior weak"
@@ -246,7 +246,7 @@ class TestStresses:
     def test_truth_is_marked_in_every_panel_and_in_the_legend(self, result, figure, tmp_path):
         each = TRUTH * np.array([1.0, 0.8, 1.1, 0.9])[:, None]
         for truth, expected in ((TRUTH, np.tile(TRUTH, (4, 1))), (each, each)):
-            marked = plot_stresses(result, truth=truth)
+            marked = stresses(result, truth=truth)
             for index, axis in enumerate(marked.axes):
                 (line,) = [line for line in axis.lines if to_hex(line.get_color()) == TRUTH_COLOUR]
                 np.testing.assert_array_equal(line.get_ydata(), expected[:, index])
@@ -257,7 +257,7 @@ class TestStresses:
         assert not any(to_hex(line.get_color()) == TRUTH_COLOUR for axis in figure.axes for line in axis.lines)
 
     def test_truth_of_one_record_is_a_point(self):
-        (line,) = plot_stresses(fitted(1), truth=TRUTH).axes[4].lines[-2:-1]
+        (line,) = stresses(fitted(1), truth=TRUTH).axes[4].lines[-2:-1]
         assert (line.get_marker(), line.get_ydata().tolist()) == ("s", [TRUTH[4]])
 
     @pytest.mark.parametrize(
@@ -276,8 +276,8 @@ class TestStresses:
     )
     def test_truth_that_is_refused(self, result, truth, message):
         with pytest.raises(InputError, match=message):
-            plot_stresses(result, truth=truth)
+            stresses(result, truth=truth)
 
     def test_prob_that_is_no_probability(self, result):
         with pytest.raises(InputError, match=r"Invalid prob 90: it must be between 0 and 1"):
-            plot_stresses(result, prob=90)
+            stresses(result, prob=90)

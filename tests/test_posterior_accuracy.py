@@ -44,7 +44,7 @@ class Reference:
     def __init__(self, name, n_draw):
         scan, noise, self.prior, variance = case(name)
         matrix = design_matrix(scan)
-        covariance = np.log(1.0 + noise.covariance)
+        covariance = np.log(1.0 + noise.covariance[0])
         # what the stresses can move: the column space of ∂ ln m/∂R at neutral flow, here by a pivoted QR
         columns = matrix / (matrix @ NEUTRAL)[:, None]
         basis, singular, _ = np.linalg.svd(columns)
@@ -90,8 +90,8 @@ def ours(name, sampler, target_ess):
     likelihood = log_normal_likelihood(
         variance[None],
         np.ones(shape, dtype=bool),
-        np.broadcast_to(noise.gain, (*shape, 6)),
-        np.broadcast_to(noise.covariance, (*shape, scan.n_beam)),
+        np.broadcast_to(noise.gain[0], (*shape, 6)),
+        np.broadcast_to(noise.covariance[0], (*shape, scan.n_beam)),
     )
     chains, _ = sample(
         sampler, Posterior(likelihood, prior), seed=1, keys=np.array([0]), target_ess=target_ess, max_extension=3

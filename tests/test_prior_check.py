@@ -6,7 +6,7 @@ from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, WeakPrior, load_scan, prior_sensitivity
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 
 
 def scene(name, *, relative_variance=0.06, n_record=8, **overrides):
@@ -40,7 +40,7 @@ def test_a_staring_lidar_leaves_ww_to_the_prior_and_uu_to_the_data():
 def test_nearly_exact_data_decide_everything():
     """Six beams at 45° with errors of 1 % that are independent: the prior's width has no say."""
     scan = load_scan("6-beam", opening_angle_deg=45.0)
-    noise = NoiseModel(
+    noise = Noise(
         bias=np.zeros(6),
         gain=design_matrix(scan),
         covariance=1e-4 * np.eye(6),

@@ -22,8 +22,8 @@ from bayes_rs.geometry.probe import (
 )
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import cone_direction, load_scan
-from bayes_rs.noise.reading import load_noise
-from bayes_rs.noise.theory import probe_transfer, probed_covariance, sonic_moments, theory_noise
+from bayes_rs.noise.by_theory import probe_transfer, probed_covariance, sonic_moments, theory_noise
+from bayes_rs.noise.file import load_noise
 from bayes_rs.turbulence.isotropic import isotropic_correlation
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 from bayes_rs.turbulence.two_point import radial_covariance
@@ -303,9 +303,9 @@ class TestNoise:
             tiny = replace(scan, probe=ContinuousWaveProbe(rayleigh_length=z))
             noise = theory_noise(tiny, SEED, wind_speed=10.0, probe_tolerance=0.0)
             assert noise.details["probe_as_points"] is False
-            np.testing.assert_allclose(noise.covariance, points.covariance, rtol=tolerance)
-            np.testing.assert_allclose(noise.gain, points.gain, atol=tolerance)
-            np.testing.assert_allclose(noise.bias, points.bias, atol=tolerance)
+            np.testing.assert_allclose(noise.covariance[0], points.covariance[0], rtol=tolerance)
+            np.testing.assert_allclose(noise.gain[0], points.gain[0], atol=tolerance)
+            np.testing.assert_allclose(noise.bias[0], points.bias[0], atol=tolerance)
 
     def test_a_probe_that_takes_nothing_is_left_out_within_its_bound(self):
         scan = replace(load_scan("6-beam"), probe=ContinuousWaveProbe(rayleigh_length=1e-3))
@@ -313,13 +313,13 @@ class TestNoise:
         assert skipped.details["probe_as_points"] is True
         assert 0.0 < skipped.details["probe_loss"] < 2e-3
         points = theory_noise(load_scan("6-beam"), SEED, wind_speed=10.0)
-        np.testing.assert_array_equal(skipped.covariance, points.covariance)
-        np.testing.assert_array_equal(skipped.gain, points.gain)
-        error = np.abs(skipped.covariance - whole.covariance).max()
-        assert error < skipped.details["probe_error"] * skipped.covariance.max()
-        expected, lost = points.gain @ SEED.stresses(), skipped.details["probe_loss"]
-        slack = expected.max() / np.min((1.0 + points.bias) * expected)  # of Cauchy and Schwarz' inequality
-        bound = 2.0 * lost + lost * slack * np.sqrt(8.0 / points.covariance.max())
+        np.testing.assert_array_equal(skipped.covariance[0], points.covariance[0])
+        np.testing.assert_array_equal(skipped.gain[0], points.gain[0])
+        error = np.abs(skipped.covariance[0] - whole.covariance[0]).max()
+        assert error < skipped.details["probe_error"] * skipped.covariance[0].max()
+        expected, lost = points.gain[0] @ SEED.stresses(), skipped.details["probe_loss"]
+        slack = expected.max() / np.min((1.0 + points.bias[0]) * expected)  # of Cauchy and Schwarz' inequality
+        bound = 2.0 * lost + lost * slack * np.sqrt(8.0 / points.covariance[0].max())
         assert skipped.details["probe_error"] == pytest.approx(bound, rel=1e-6)  # eigenvalues of K set to zero
         assert skipped.scan_geometry["probe"] == scan.probe.parameters()
 
@@ -344,12 +344,14 @@ class TestNoise:
         noise = theory_noise(scan, SEED, wind_speed=10.0, duration=600.5)  # beams with one sample more
         record = sonic_moments(load_scan("6-beam"), SEED, wind_speed=10.0, duration=600.5).mean
         whole = theory_noise(scan, SEED, wind_speed=10.0)
-        expected = (1.0 + noise.bias) * (noise.gain @ SEED.stresses())
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ SEED.stresses())
         longer = sonic_moments(load_scan("6-beam"), SEED, wind_speed=10.0, duration=600.0).mean
-        from_record = noise.gain @ record
+        from_record = noise.gain[0] @ record
         np.testing.assert_allclose(from_record[:3], expected[:3], rtol=1e-6)
-        np.testing.assert_allclose(whole.gain @ longer, (1.0 + whole.bias) * (whole.gain @ SEED.stresses()), rtol=1e-6)
-        assert np.all(np.abs(noise.gain) <= np.abs(design_matrix(scan)) + 1e-12)
+        np.testing.assert_allclose(
+            whole.gain[0] @ longer, (1.0 + whole.bias[0]) * (whole.gain[0] @ SEED.stresses()), rtol=1e-6
+        )
+        assert np.all(np.abs(noise.gain[0]) <= np.abs(design_matrix(scan)) + 1e-12)
 
     def test_expected_variance_is_the_filtered_spectrum_less_the_mean(self, seed_spectra):
         scan = beams([[-1, 0, 0]], probe=OPTICS)
@@ -362,7 +364,7 @@ class TestNoise:
         phase = 0.5 * k1 * 10.0
         lost = np.where(k1 < 0.1, np.sin(600 * phase) / (600.0 * np.sin(phase)), 0.0) ** 2  # beyond: 1e-5
         expected = 2.0 * 0.002 * np.sum(k1 * kept * (1.0 - lost))
-        got = (1.0 + noise.bias[0]) * (noise.gain[0] @ SEED.stresses())
+        got = (1.0 + noise.bias[0, 0]) * (noise.gain[0, 0] @ SEED.stresses())
         assert got == pytest.approx(expected, rel=2e-3)
 
     def test_a_larger_probe_takes_more_and_scatters_more(self):
@@ -371,17 +373,17 @@ class TestNoise:
             theory_noise(replace(scan, probe=ContinuousWaveProbe(rayleigh_length=z)), SEED, wind_speed=10.0)
             for z in (0.5, 2.0, 6.0, 20.0, 61.0)
         ]
-        expected = np.array([(1.0 + m.bias) * (m.gain @ SEED.stresses()) for m in noises])
+        expected = np.array([(1.0 + m.bias[0]) * (m.gain[0] @ SEED.stresses()) for m in noises])
         assert np.all(np.diff(expected, axis=0) < 0.0)
-        assert np.all(np.diff([m.relative_error for m in noises], axis=0) > 0.0)
+        assert np.all(np.diff([m.relative_error[0] for m in noises], axis=0) > 0.0)
 
     def test_opposite_directions_are_the_same_beam(self):
         probe = ContinuousWaveProbe(rayleigh_length=6.1)
         one = beams([[-1, 0.2, 0.1], [-1, -0.2, 0.3]], distance=1e-9, probe=probe)
         other = beams([[1, -0.2, -0.1], [-1, -0.2, 0.3]], distance=1e-9, probe=probe)
         same, turned = (theory_noise(scan, SEED, wind_speed=10.0) for scan in (one, other))
-        np.testing.assert_allclose(turned.covariance, same.covariance, rtol=1e-6)
-        np.testing.assert_allclose(turned.gain, same.gain, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(turned.covariance[0], same.covariance[0], rtol=1e-6)
+        np.testing.assert_allclose(turned.gain[0], same.gain[0], rtol=1e-9, atol=1e-12)
 
     @pytest.mark.parametrize(("z_r", "gamma"), [(0.01, 3.2), (1.0, 0.0), (1.0, 6.0), (61.0, 3.2), (610.0, 3.2)])
     def test_finite_and_positive_semi_definite(self, z_r, gamma):
@@ -389,8 +391,8 @@ class TestNoise:
         directions = [[-1, 0, 0], [-1, 1, 0], [-1, 0, 0], [-1, 1e-4, 0]]
         scan = beams(directions, probe=ContinuousWaveProbe(rayleigh_length=z_r))
         noise = theory_noise(scan, turbulence, wind_speed=10.0)  # checks the eigenvalues itself
-        assert np.all(np.isfinite(noise.covariance))
-        assert np.all((noise.bias < 0.0) & (noise.bias > -1.0))
+        assert np.all(np.isfinite(noise.covariance[0]))
+        assert np.all((noise.bias[0] < 0.0) & (noise.bias[0] > -1.0))
         assert noise.details["negative_part"] < PROBE_ERROR
 
     @pytest.mark.parametrize("name", ["zx-tm", "pulsed-4-beam"])
@@ -407,7 +409,7 @@ class TestNoise:
         noise = theory_noise(load_scan("spinnerlidar"), SEED, wind_speed=10.0)
         points = theory_noise(load_scan("spinnerlidar@probe=point"), SEED, wind_speed=10.0)
         assert noise.details["negative_part"] < PROBE_ERROR
-        assert np.all(noise.relative_error > points.relative_error)
+        assert np.all(noise.relative_error[0] > points.relative_error[0])
 
     def test_only_ratios_of_lengths_count(self):
         scan = replace(load_scan("4-beam"), probe=ContinuousWaveProbe(rayleigh_length=3.0))
@@ -415,19 +417,19 @@ class TestNoise:
         twice = MannTurbulence(dissipation=1.0, length_scale=122.0, gamma=3.2)
         doubled = replace(load_scan("4-beam", focus_distance=196.0), probe=ContinuousWaveProbe(rayleigh_length=6.0))
         other = theory_noise(doubled, twice, wind_speed=20.0)
-        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9)
-        np.testing.assert_allclose(one.gain, other.gain, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(one.covariance[0], other.covariance[0], rtol=1e-9)
+        np.testing.assert_allclose(one.gain[0], other.gain[0], rtol=1e-9, atol=1e-12)
 
     def test_sonic_and_probed_beams_are_jointly_positive_semi_definite(self):
         scan = replace(load_scan("6-beam"), probe=OPTICS)
         moments = sonic_moments(scan, SEED, wind_speed=10.0)
         noise = theory_noise(scan, SEED, wind_speed=10.0)
-        expected = (1.0 + noise.bias) * (noise.gain @ SEED.stresses())
-        beams_alone = noise.covariance * np.outer(expected, expected)
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ SEED.stresses())
+        beams_alone = noise.covariance[0] * np.outer(expected, expected)
         joint = np.block([[beams_alone, moments.cross_covariance], [moments.cross_covariance.T, moments.covariance]])
         assert np.linalg.eigvalsh(joint)[0] > -PROBE_ERROR * joint.max()
         points = sonic_moments(load_scan("6-beam"), SEED, wind_speed=10.0)
-        np.testing.assert_array_equal(moments.covariance, points.covariance)
+        np.testing.assert_array_equal(moments.covariance, points.covariance[0])
         assert np.all(moments.cross_covariance[:, 0] < points.cross_covariance[:, 0])
 
 

@@ -7,13 +7,14 @@ import pytest
 from noise_checks import check_noise
 from test_theory_and_simulation import FLOWS, SEED, SIGMAS, box_differences, box_noise, grid_of
 
-from bayes_rs import calibrate, simulate
-from bayes_rs.calibration.box_noise import noise_from_boxes
+from bayes_rs import simulate
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import ContinuousWaveProbe, PulsedProbe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import pack_stress
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.box_noise import Boxes, noise_from_boxes
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.records.making import make_records
 from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
 from bayes_rs.simulation.virtual import RecordState, grid_for
@@ -46,7 +47,7 @@ class TestCovariance:
         exact, expected = box_noise(state, maker)
         np.testing.assert_allclose(state.expected_variance(maker), expected, rtol=1e-9)  # rounding
         noise = noise_from_boxes([state], turbulence, 200, 1, grid=grid)[0]
-        assert np.abs((noise.covariance - exact) / noise.standard_error).max() < SIGMAS
+        assert np.abs((noise.covariance[0] - exact) / noise.standard_error[0]).max() < SIGMAS
         assert noise.details["mean_deviation_sigmas"] < SIGMAS
 
     def test_points_would_be_caught(self):
@@ -57,7 +58,7 @@ class TestCovariance:
         grid = grid_of("short and narrow", turbulence)
         exact, expected = box_noise(points, BoxMaker(turbulence, grid))
         noise = noise_from_boxes([state], turbulence, 600, 1, grid=grid)[0]
-        assert np.abs((noise.covariance - exact) / noise.standard_error).max() > SIGMAS
+        assert np.abs((noise.covariance[0] - exact) / noise.standard_error[0]).max() > SIGMAS
         assert np.all(state.expected_variance(BoxMaker(turbulence, grid)) < 0.4 * expected)
 
     def test_states_with_different_probes_share_boxes(self):
@@ -69,12 +70,12 @@ class TestCovariance:
         together = noise_from_boxes(states, SEED, 10, 1, grid=grid)
         for state, noise in zip(states, together, strict=True):
             alone = noise_from_boxes([state], SEED, 10, 1, grid=grid)[0]
-            np.testing.assert_allclose(noise.covariance, alone.covariance, rtol=1e-5)  # single precision
-            np.testing.assert_array_equal(noise.gain, alone.gain)
-        first, second, third = (model.covariance for model in together[:3])
+            np.testing.assert_allclose(noise.covariance[0], alone.covariance[0], rtol=1e-5)  # single precision
+            np.testing.assert_array_equal(noise.gain[0], alone.gain[0])
+        first, second, third = (model.covariance[0] for model in together[:3])
         assert not np.allclose(first, second, rtol=0.01)
         np.testing.assert_allclose(second, third, rtol=1e-3)  # at 98 m these optics have a Rayleigh length of 6.10 m
-        np.testing.assert_array_equal(second, together[5].covariance)
+        np.testing.assert_array_equal(second, together[5].covariance[0])
 
     @pytest.mark.long
     @pytest.mark.parametrize("flow", FLOWS)
@@ -95,16 +96,16 @@ class TestGain:
         noise = noise_from_boxes([RecordState(scan, 10.0, 0.2, 60.0)], SEED, 2, 1, grid=grid)[0]
         theory = theory_noise(scan, SEED, wind_speed=10.0, duration=60.0, yaw=0.2)
         assert not theory.details["probe_as_points"]
-        np.testing.assert_allclose(noise.gain, theory.gain, rtol=1e-12, atol=1e-15)
-        assert np.all(noise.gain[:, 0] < 0.97 * design_matrix(scan.at_yaw(0.2))[:, 0])
+        np.testing.assert_allclose(noise.gain[0], theory.gain[0], rtol=1e-12, atol=1e-15)
+        assert np.all(noise.gain[0, :, 0] < 0.97 * design_matrix(scan.at_yaw(0.2))[:, 0])
 
     def test_bias_is_what_a_records_mean_takes(self):
         """As for points, but for the weights of the components: a probe takes no slow eddies."""
         grid = BoxGrid((128, 16, 16), (12.0, 24.0, 24.0))
         states = [RecordState(scan, 10.0, 0.2, 60.0) for scan in (load_scan("6-beam"), scan_with("continuous-wave"))]
         points, probed = noise_from_boxes(states, SEED, 2, 1, grid=grid)
-        np.testing.assert_allclose(probed.bias, points.bias, atol=0.02)
-        assert not np.array_equal(probed.bias, points.bias)
+        np.testing.assert_allclose(probed.bias[0], points.bias[0], atol=0.02)
+        assert not np.array_equal(probed.bias[0], points.bias[0])
 
     def test_excess_is_what_the_grid_leaves_out(self):
         """The finer the grid, the nearer the expected variances in boxes to gain · stresses of a record in boxes."""
@@ -114,27 +115,27 @@ class TestGain:
             grid = BoxGrid((64 * finer, 12 * finer, 12 * finer), tuple(n / finer for n in (24.0, 30.0, 30.0)))
             noise = noise_from_boxes([state], SEED, 2, 1, grid=grid)[0]
             excess.append(noise.details["probe_excess"])
-            record = noise.gain @ pack_stress(state.record_tensor(BoxMaker(SEED, grid)))
+            record = noise.gain[0] @ pack_stress(state.record_tensor(BoxMaker(SEED, grid)))
             most = np.max(state.expected_variance(BoxMaker(SEED, grid)) / record) - 1.0
             assert excess[-1] == pytest.approx(most, rel=1e-9)
         assert 0.02 < excess[2] < 0.75 * excess[1] < 0.75 * 0.75 * excess[0]
 
     def test_points_have_none(self):
         noise = calibrate(
-            load_scan("2-beam"), WIDE_EDDIES, wind_speed=10.0, duration=60.0, method="boxes", n_boxes=2, cache=False
+            load_scan("2-beam"), WIDE_EDDIES, wind_speed=10.0, duration=60.0, method=Boxes(n_boxes=2), cache=False
         )
         assert "probe_excess" not in noise.details
 
     def test_noise_passes_the_checker(self, tmp_path):
         scan = load_scan("pulsed-4-beam")
         noise = calibrate(
-            scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, method="boxes", n_boxes=4, cache=tmp_path / "cache"
+            scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, method=Boxes(n_boxes=4), cache=tmp_path / "cache"
         )
         check_noise(noise, scan, tmp_path)
         again = calibrate(
-            scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, method="boxes", n_boxes=4, cache=tmp_path / "cache"
+            scan, WIDE_EDDIES, wind_speed=10.0, duration=60.0, method=Boxes(n_boxes=4), cache=tmp_path / "cache"
         )
-        np.testing.assert_array_equal(noise.covariance, again.covariance)
+        np.testing.assert_array_equal(noise.covariance[0], again.covariance[0])
 
 
 class TestSimulated:

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bayes_rs import calibrate, find_shipped_noise, load_scan, load_turbulence, simulate, write_report
+from bayes_rs import load_scan, load_turbulence, simulate, write_report
 from bayes_rs.cli import commands
 from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.noise.probe_words import probe_loss, probe_words
+from bayes_rs.noise.store import find_shipped_noise
 
 FLOW = load_turbulence("fu-2022")
 

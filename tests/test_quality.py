@@ -24,8 +24,10 @@ from bayes_rs.quality.stationarity import (
     share_between_parts,
     trend,
 )
-from bayes_rs.records.making import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, describe_report, make_records
+from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS
+from bayes_rs.records.making import make_records
 from bayes_rs.records.record_samples import sort_samples
+from bayes_rs.records.report import describe_report
 
 START = np.datetime64("2020-09-03T19:00", "ns")
 SCAN = brs.load_scan("6-beam")
@@ -261,15 +263,6 @@ class TestFilters:
         series = series_of(sound(), status=np.tile([1.0, 2.0, 2.0], 1200)).assign_attrs(status_valid=1.0)
         assert dropped(make_records(series, SCAN)) == {"status": 2400}
         assert dropped(make_records(series, SCAN, quality=brs.QualityRules(status_valid=2))) == {"status": 1200}
-
-    def test_the_old_keywords_are_the_same_rules(self):
-        rng = np.random.default_rng(5)
-        series = series_of(rng.standard_t(2, 3600), cnr=rng.uniform(-30.0, 0.0, 3600))
-        options = {"cnr_range": (-25.0, 0.0), "despike": "median", "despike_window": 7, "despike_threshold": 4.0}
-        one = make_records(series, SCAN, **options)
-        two = make_records(series, SCAN, quality=brs.QualityRules(**options))
-        xr.testing.assert_identical(one, two)
-        assert set(dropped(one)) == {"cnr", "despike"}
 
 
 class TestFrozen:
@@ -540,7 +533,7 @@ class TestRemarks:
         series = brs.simulate(scan, flow, wind_speed=10.0, n_records=3, seed=1)
         rules = brs.QualityRules(sub_variance_limit=1e-9, min_wind_speed=1.0)
         records = make_records(series, scan, quality=rules)
-        noise = brs.calibrate(scan, flow, wind_speed=10.0)
+        noise = brs.noise.calibrate(scan, flow, wind_speed=10.0)
         result = brs.fit(records, scan, noise=noise, seed=1, sampler="direct", target_ess=100)
         words = [brs.flag_words(flag) for flag in result["sample_stats/flag"].values]
         assert words == ["not_stationary"] * 3
@@ -675,10 +668,6 @@ class TestBadInput:
         series = series_of(sound(), words=["a"] * 3600)
         with pytest.raises(InputError, match=re.escape(message)):
             make_records(series, SCAN, quality=brs.QualityRules(**options))
-
-    def test_rules_twice(self):
-        with pytest.raises(InputError, match="Both quality and one of cnr_range, despike"):
-            make_records(series_of(sound()), SCAN, despike="median", quality=brs.QualityRules())
 
     def test_rules_of_another_kind(self):
         with pytest.raises(InputError, match="it must be a QualityRules, as"):

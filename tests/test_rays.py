@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from ray_files import AZIMUTH, ELEVATION, six_beam
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.matching import SINGLE_GATE_SHARE, directions_in_words, match_rays
@@ -32,7 +33,7 @@ def rays(azimuth, elevation, distance=GATES, *, time=None, velocity=None) -> Ray
     return Rays(
         file=Path("noon.nc"),
         kind="windcube",
-        file_format=resolve_format({}, SIX),
+        file_format=resolve_format(FileOptions(), SIX),
         time=start + np.arange(n_ray) * np.timedelta64(1, "s") if time is None else time,
         direction=direction_of(azimuth, elevation),
         distance=distance,

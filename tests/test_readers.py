@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import READERS, read_radial_velocity, stream_radial_velocity
+from bayes_rs.readers import READERS, read, stream
 from bayes_rs.records.making import make_records
 
 LAST_DIGIT = 4 * np.finfo(float).eps  # decimal text to binary: pandas may be off by a unit in the last place
@@ -80,7 +80,7 @@ class TestEveryFormatGivesTheSameSeries:
             xr.Dataset.from_dataframe(frame.rename_axis("sample")).to_netcdf(file)
         else:
             frame.to_csv(file, index=False)
-        assert_same(read_radial_velocity(file, SCAN), reference)
+        assert_same(read(file, SCAN), reference)
 
     @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
     @pytest.mark.parametrize("heading", ["{}", "vr_{}", "beam_{}"])
@@ -95,12 +95,12 @@ class TestEveryFormatGivesTheSameSeries:
             frame.to_parquet(file)  # with time as its index
         else:
             frame.to_csv(file)
-        assert_same(read_radial_velocity(file, SCAN), reference)
+        assert_same(read(file, SCAN), reference)
 
     def test_wide_netcdf(self, tmp_path, reference):
         file = tmp_path / "day.nc"
         long_frame().set_index(["time", "beam"]).to_xarray().to_netcdf(file)
-        assert_same(read_radial_velocity(file, SCAN), reference)
+        assert_same(read(file, SCAN), reference)
 
     def test_what_we_write_is_read_back(self, tmp_path):
         """Even with a scan whose own files count positive towards the lidar and name things otherwise."""
@@ -108,10 +108,10 @@ class TestEveryFormatGivesTheSameSeries:
         raw = long_csv(
             tmp_path, "2020-09-03T19:00:00Z,2,8.5,-5,1", head="Timestamp,LOSindex,RWS,CNR,RWSStatus\n", name="raw.csv"
         )
-        series = read_radial_velocity(raw, scan)
+        series = read(raw, scan)
         assert series["radial_velocity"].values == [-8.5]
         series.to_netcdf(file)
-        again = read_radial_velocity(file, scan)
+        again = read(file, scan)
         assert_same(again, series)
         assert again.attrs["status_valid"] == 1
 
@@ -121,14 +121,14 @@ class TestEveryFormatGivesTheSameSeries:
         for number in (3, 0, 1):
             files.append(tmp_path / f"beam{number}.csv")
             frame[frame["beam"] == number].to_csv(files[-1], index=False)
-        series = read_radial_velocity(files, SCAN)
+        series = read(files, SCAN)
         assert_same(series, reference)
         assert json.loads(series.attrs["source_files"]) == ["beam3.csv", "beam0.csv", "beam1.csv"]
         assert report_of(series)["beams_absent"] == [2]
         assert report_of(series)["beams_present"] == [0, 1, 3]
 
     def test_attributes_survive_netcdf(self, tmp_path):
-        series = read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN)
+        series = read(long_csv(tmp_path, *ROWS), SCAN)
         series.to_netcdf(tmp_path / "series.nc")
         with xr.open_dataset(tmp_path / "series.nc") as again:
             assert again.attrs == series.attrs
@@ -138,19 +138,19 @@ class TestEveryFormatGivesTheSameSeries:
 class TestOptions:
     def test_sign(self, tmp_path):
         file = long_csv(tmp_path, *ROWS)
-        away, towards = (read_radial_velocity(file, SCAN, positive=sign) for sign in ("away", "towards"))
+        away, towards = (read(file, SCAN, positive=sign) for sign in ("away", "towards"))
         np.testing.assert_array_equal(away["radial_velocity"], -towards["radial_velocity"])
         assert away["radial_velocity"].values[0] == -8.5
 
     @pytest.mark.parametrize(("unit", "metres"), [("m/s", 3600.0), ("km/h", 1000.0), ("knot", 1852.0)])
     def test_unit(self, tmp_path, unit, metres):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,0,3600")
-        series = read_radial_velocity(file, SCAN, velocity_unit=unit)
+        series = read(file, SCAN, velocity_unit=unit)
         np.testing.assert_allclose(series["radial_velocity"], [metres], rtol=LAST_DIGIT)
 
     def test_decimal_commas(self, tmp_path):
         text = "time;beam;radial_velocity;note\n2020-09-03T19:00:00,250Z;1;-8,5;a,b\n"
-        series = read_radial_velocity(write(tmp_path, text), SCAN, separator=";", decimal=",")
+        series = read(write(tmp_path, text), SCAN, separator=";", decimal=",")
         assert series["radial_velocity"].values == [-8.5]
         assert series["time"].values == np.datetime64("2020-09-03T19:00:00.250")
 
@@ -158,23 +158,23 @@ class TestOptions:
     def test_decimal_commas_in_times_of_another_form(self, tmp_path, mark):
         text = "time;beam;radial_velocity\n03.09.2020 19:00:00,250;1;-8,5\n"
         form = f"%d.%m.%Y %H:%M:%S{mark}%f"
-        series = read_radial_velocity(write(tmp_path, text), SCAN, separator=";", decimal=",", time_format=form)
+        series = read(write(tmp_path, text), SCAN, separator=";", decimal=",", time_format=form)
         assert series["time"].values == np.datetime64("2020-09-03T19:00:00.250")
 
     def test_tab(self, tmp_path):
         file = write(tmp_path, "\t".join(HEAD.split(",")) + ROWS[0].replace(",", "\t"))
-        assert read_radial_velocity(file, SCAN, separator="tab")["radial_velocity"].values == [-8.5]
+        assert read(file, SCAN, separator="tab")["radial_velocity"].values == [-8.5]
 
     @pytest.mark.parametrize("zone", ["UTC+1", "UTC+01:00", "+01:00", "Etc/GMT-1"])
     def test_time_zone(self, tmp_path, zone):
         file = long_csv(tmp_path, "2020-09-03 19:00:00,0,-8.5")
-        assert read_radial_velocity(file, SCAN, time_zone=zone)["time"].values == np.datetime64("2020-09-03T18:00")
-        assert read_radial_velocity(file, SCAN)["time"].values == np.datetime64("2020-09-03T19:00")
+        assert read(file, SCAN, time_zone=zone)["time"].values == np.datetime64("2020-09-03T18:00")
+        assert read(file, SCAN)["time"].values == np.datetime64("2020-09-03T19:00")
 
     def test_an_offset_in_the_file_counts_before_the_option(self, tmp_path):
         rows = ["2020-09-03T19:00:00+02:00,0,1", "2020-09-03T20:00:00+0100,1,1", "2020-09-03T17:00:00Z,2,1"]
         rows.append("2020-09-03T22:00:00,3,1")
-        series = read_radial_velocity(long_csv(tmp_path, *rows), SCAN, time_zone="UTC+3")
+        series = read(long_csv(tmp_path, *rows), SCAN, time_zone="UTC+3")
         hours = (series.sortby("beam")["time"].values - np.datetime64("2020-09-03")) / np.timedelta64(1, "h")
         np.testing.assert_array_equal(hours, [17.0, 19.0, 17.0, 19.0])
 
@@ -183,7 +183,7 @@ class TestOptions:
         frame = long_frame(n_time=2)
         frame["time"] = frame["time"].dt.tz_localize(zone) if zone == "Europe/Berlin" else frame["time"]
         frame.to_parquet(tmp_path / "day.parquet")
-        series = read_radial_velocity(tmp_path / "day.parquet", SCAN, time_zone="UTC+1")
+        series = read(tmp_path / "day.parquet", SCAN, time_zone="UTC+1")
         hours = 2 if zone == "Europe/Berlin" else 1  # summer time
         assert series["time"].values[0] == np.datetime64("2020-09-03T19:00:00.250") - np.timedelta64(hours, "h")
 
@@ -195,9 +195,7 @@ class TestOptions:
             "2020-09-03T19:00:02Z,0,-8,9999",
             "2020-09-03T19:00:03Z,0,-8,2",
         ]
-        series = read_radial_velocity(
-            long_csv(tmp_path, *rows, head="time,beam,radial_velocity,cnr\n"), SCAN, invalid=9999
-        )
+        series = read(long_csv(tmp_path, *rows, head="time,beam,radial_velocity,cnr\n"), SCAN, invalid=9999)
         np.testing.assert_array_equal(series["radial_velocity"], [np.nan, -8.0, -8.0])
         np.testing.assert_array_equal(series["cnr"], [1.0, np.nan, 2.0])
         report = report_of(series)
@@ -207,7 +205,7 @@ class TestOptions:
     def test_columns_and_beam_numbers(self, tmp_path):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,LOS2,1", head="Timestamp,LOS,RWS\n")
         columns = {"time": "Timestamp", "beam": "LOS", "radial_velocity": "RWS"}
-        series = read_radial_velocity(file, SCAN, columns=columns, beam_numbers={"LOS2": 3})
+        series = read(file, SCAN, columns=columns, beam_numbers={"LOS2": 3})
         assert series["beam"].values == [3]
 
     @pytest.mark.parametrize(
@@ -215,29 +213,29 @@ class TestOptions:
     )
     def test_columns_of_a_wide_table(self, tmp_path, options):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,1", head="time,left\n")
-        assert read_radial_velocity(file, SCAN, **options)["beam"].values == [2]
+        assert read(file, SCAN, **options)["beam"].values == [2]
 
     def test_beam_numbers_match_labels_written_as_decimals(self, tmp_path):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,2.0,1", "2020-09-03T19:00:00Z,03,1")
-        assert read_radial_velocity(file, SCAN)["beam"].values.tolist() == [2, 3]
-        series = read_radial_velocity(file, SCAN, beam_numbers={"2": 0, "3": 1})
+        assert read(file, SCAN)["beam"].values.tolist() == [2, 3]
+        series = read(file, SCAN, beam_numbers={"2": 0, "3": 1})
         assert series["beam"].values.tolist() == [0, 1]
 
     def test_the_option_counts_before_the_scan(self, tmp_path):
         scan = load_scan("pulsed-4-beam")
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,2,8.5,7", head="Timestamp,LOSindex,RWS,speed\n")
-        assert read_radial_velocity(file, scan)["radial_velocity"].values == [-8.5]
-        assert read_radial_velocity(file, scan, positive="away")["radial_velocity"].values == [8.5]
+        assert read(file, scan)["radial_velocity"].values == [-8.5]
+        assert read(file, scan, positive="away")["radial_velocity"].values == [8.5]
         columns = {"radial_velocity": "speed"}
-        assert read_radial_velocity(file, scan, columns=columns)["radial_velocity"].values == [-7.0]
+        assert read(file, scan, columns=columns)["radial_velocity"].values == [-7.0]
 
     def test_quality_stands_for_status(self, tmp_path):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,2,8.5,7", head="time,beam,radial_velocity,quality\n")
-        assert read_radial_velocity(file, SCAN, status_valid=7)["status"].values == [7]
+        assert read(file, SCAN, status_valid=7)["status"].values == [7]
 
     def test_byte_order_mark_blank_line_and_spaces(self, tmp_path):
         text = "\ufefftime, beam , radial_velocity\r\n2020-09-03T19:00:00Z, 0 , -8.5\r\n\r\n2020-09-03T19:00:01Z,0,\r\n"
-        series = read_radial_velocity(write(tmp_path, text), SCAN)
+        series = read(write(tmp_path, text), SCAN)
         np.testing.assert_array_equal(series["radial_velocity"], [-8.5, np.nan])
         assert report_of(series)["rows_dropped"] == 1
 
@@ -245,12 +243,12 @@ class TestOptions:
         dataset = xr.Dataset.from_dataframe(long_frame(2).rename_axis("sample"))
         dataset["radial_velocity"].attrs = {"units": "km/h", "positive": "towards"}
         dataset.to_netcdf(tmp_path / "day.nc")
-        series = read_radial_velocity(tmp_path / "day.nc", SCAN)
+        series = read(tmp_path / "day.nc", SCAN)
         np.testing.assert_allclose(series["radial_velocity"], -dataset["radial_velocity"] / 3.6)
         dataset["radial_velocity"].attrs["units"] = "furlong"
         dataset.to_netcdf(tmp_path / "bad.nc")
         with pytest.raises(InputError, match="Unknown units 'furlong' of radial_velocity"):
-            read_radial_velocity(tmp_path / "bad.nc", SCAN)
+            read(tmp_path / "bad.nc", SCAN)
 
 
 class TestOrder:
@@ -262,33 +260,33 @@ class TestOrder:
             "(--out-of-order sort) to sort them."
         )
         with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
-            read_radial_velocity(file, SCAN)
-        series = read_radial_velocity(file, SCAN, out_of_order="sort")
+            read(file, SCAN)
+        series = read(file, SCAN, out_of_order="sort")
         assert series["radial_velocity"].values.tolist() == [2.0, 3.0, 1.0]
         assert report_of(series)["samples_out_of_order"] == 1
 
     def test_repeated_rows(self, tmp_path):
-        series = read_radial_velocity(long_csv(tmp_path, *ROWS, ROWS[-1]), SCAN)
-        assert_same(series, read_radial_velocity(long_csv(tmp_path, *ROWS, name="b.csv"), SCAN))
+        series = read(long_csv(tmp_path, *ROWS, ROWS[-1]), SCAN)
+        assert_same(series, read(long_csv(tmp_path, *ROWS, name="b.csv"), SCAN))
         assert report_of(series)["duplicates_dropped"] == 1
         assert report_of(series)["duplicates_that_differ"] == 0
 
     def test_overlapping_files(self, tmp_path):
         one, two = long_csv(tmp_path, *ROWS[1:], name="1.csv"), long_csv(tmp_path, *ROWS[:2], name="2.csv")
-        series = read_radial_velocity([one, two], SCAN)
+        series = read([one, two], SCAN)
         assert series["radial_velocity"].values.tolist() == [-8.5, -7.5, -8.25]
         assert report_of(series)["duplicates_dropped"] == 1
 
     def test_a_velocity_is_kept_before_none(self, tmp_path):
-        series = read_radial_velocity(long_csv(tmp_path, "2020-09-03T19:00:00Z,0,", ROWS[0]), SCAN)
+        series = read(long_csv(tmp_path, "2020-09-03T19:00:00Z,0,", ROWS[0]), SCAN)
         assert series["radial_velocity"].values.tolist() == [-8.5]
 
     def test_two_velocities_at_one_time(self, tmp_path):
         """As when time stamps are rounded: dropping one in silence would lose data."""
         one, two = long_csv(tmp_path, ROWS[0], name="1.csv"), long_csv(tmp_path, "2020-09-03T19:00:00Z,0,-6")
         with pytest.raises(InputError, match=r"beam 0 at 2020-09-03T19:00:00Z differ: -8.5 m/s in line 2 .*-6 m/s in"):
-            read_radial_velocity([one, two], SCAN)
-        series = read_radial_velocity([one, two], SCAN, out_of_order="sort")
+            read([one, two], SCAN)
+        series = read([one, two], SCAN, out_of_order="sort")
         assert series["radial_velocity"].values.tolist() == [-8.5]
         assert report_of(series)["duplicates_that_differ"] == 1
 
@@ -318,45 +316,45 @@ class TestBadInput:
     def test_lines(self, tmp_path, rows, message):
         file = long_csv(tmp_path, *rows)
         with pytest.raises(InputError, match=re.escape(message)) as caught:
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
         assert str(file) in str(caught.value)
         assert "\n" not in str(caught.value)
 
     def test_missing_file(self, tmp_path):
         with pytest.raises(InputError, match=r"File '.*nowhere.csv' does not exist: check its path"):
-            read_radial_velocity(tmp_path / "nowhere.csv", SCAN)
+            read(tmp_path / "nowhere.csv", SCAN)
 
     def test_no_file(self):
         with pytest.raises(InputError, match="No file given"):
-            read_radial_velocity([], SCAN)
+            read([], SCAN)
 
     def test_folder(self, tmp_path):
         with pytest.raises(InputError, match=r"Folder '.*' has no file that can be read: its files are 0 hidden"):
-            read_radial_velocity(tmp_path, SCAN)
+            read(tmp_path, SCAN)
 
     @pytest.mark.parametrize("name", ["day.csv", "day.parquet", "day.nc", "day.csv.gz"])
     def test_empty_file(self, tmp_path, name):
         with pytest.raises(InputError, match=r"is empty|cannot be read") as caught:
-            read_radial_velocity(write(tmp_path, "", name), SCAN)
+            read(write(tmp_path, "", name), SCAN)
         assert name in str(caught.value)
 
     @pytest.mark.parametrize("name", ["day.parquet", "day.nc", "day.csv.gz"])
     def test_damaged_file(self, tmp_path, name):
         with pytest.raises(InputError, match=r"cannot be read.*check that it is complete and not damaged"):
-            read_radial_velocity(write(tmp_path, HEAD + ROWS[0], name), SCAN)
+            read(write(tmp_path, HEAD + ROWS[0], name), SCAN)
 
     def test_truncated_gzip(self, tmp_path):
         file = tmp_path / "day.csv.gz"
         file.write_bytes(gzip.compress((HEAD + "\n".join(ROWS * 100)).encode())[:-30])
         with pytest.raises(InputError, match="cannot be read"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     @pytest.mark.parametrize("name", ["day.xlsx", "day", "day.gz"])
     def test_unknown_suffix(self, tmp_path, name):
         with pytest.raises(InputError, match=r"Unknown suffix '.*' of file .*: it must be one of .hpl, .csv, "):
-            read_radial_velocity(write(tmp_path, HEAD, name), SCAN)
+            read(write(tmp_path, HEAD, name), SCAN)
         if name != "day.gz":
-            series = read_radial_velocity(write(tmp_path, HEAD + ROWS[0], name), SCAN, file_format="long")
+            series = read(write(tmp_path, HEAD + ROWS[0], name), SCAN, file_format="long")
             assert series["radial_velocity"].values == [-8.5]
 
     @pytest.mark.parametrize("name", ["time", "beam", "radial_velocity"])
@@ -364,15 +362,15 @@ class TestBadInput:
         file = long_csv(tmp_path, *ROWS, head=HEAD.replace(name, "other"))
         message = rf"has no column '{name}' for {name}: its columns are .*'other'.*with columns=\{{'{name}': "
         with pytest.raises(InputError, match=message):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     def test_missing_column_of_the_scan(self, tmp_path):
         with pytest.raises(InputError, match="has no column 'RWS' for radial_velocity"):
-            read_radial_velocity(long_csv(tmp_path, *ROWS, head="Timestamp,LOSindex,v\n"), load_scan("pulsed-4-beam"))
+            read(long_csv(tmp_path, *ROWS, head="Timestamp,LOSindex,v\n"), load_scan("pulsed-4-beam"))
 
     def test_missing_optional_column_that_was_asked_for(self, tmp_path):
         with pytest.raises(InputError, match="has no column 'snr' for cnr"):
-            read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN, columns={"cnr": "snr"})
+            read(long_csv(tmp_path, *ROWS), SCAN, columns={"cnr": "snr"})
 
     @pytest.mark.parametrize("name", ["day.csv", "day.parquet", "day.nc", "wide.csv"])
     def test_a_status_that_is_not_there(self, tmp_path, name):
@@ -382,15 +380,15 @@ class TestBadInput:
         if name == "wide.csv":
             frame = frame.pivot_table(index="time", columns="beam", values="radial_velocity").reset_index()
         if name == "day.nc":
-            read_radial_velocity(long_csv(tmp_path, *ROWS, name="other.csv"), SCAN).to_netcdf(file, engine="h5netcdf")
+            read(long_csv(tmp_path, *ROWS, name="other.csv"), SCAN).to_netcdf(file, engine="h5netcdf")
         else:
             frame.to_parquet(file) if name == "day.parquet" else frame.to_csv(file, index=False)
-        read_radial_velocity(file, SCAN)
+        read(file, SCAN)
         message = rf"File '{re.escape(str(file))}' has no status, which status_valid=1 is about: say .*status=HEADING"
         with pytest.raises(InputError, match=message):
-            read_radial_velocity(file, SCAN, status_valid=1)
+            read(file, SCAN, status_valid=1)
         with pytest.raises(InputError, match=message):
-            next(iter(stream_radial_velocity(file, SCAN, period=600.0, status_valid=1)))
+            next(iter(stream(file, SCAN, period=600.0, status_valid=1)))
 
     def test_a_table_that_is_to_be_netcdf(self, tmp_path):
         file = long_csv(tmp_path, *ROWS)
@@ -399,71 +397,71 @@ class TestBadInput:
             "and not damaged."
         )
         with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
-            read_radial_velocity(file, SCAN, file_format="windcube")
+            read(file, SCAN, file_format="windcube")
 
     @pytest.mark.parametrize(("separator", "word"), [(";", "';'"), ("\t", "'tab'")])
     def test_wrong_separator(self, tmp_path, separator, word):
         file = write(tmp_path, (HEAD + ROWS[0]).replace(",", separator))
         with pytest.raises(InputError, match=f"is neither a long table .* nor a wide one .*then give separator={word}"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     def test_text_among_decimal_commas(self, tmp_path):
         text = HEAD.replace(",", ";") + "2020-09-03T19:00:00Z;1;-8,5\n2020-09-03T19:00:01Z;1;x\n"
         with pytest.raises(InputError, match="Invalid radial_velocity 'x' in column 'radial_velocity', line 3"):
-            read_radial_velocity(write(tmp_path, text), SCAN, separator=";", decimal=",")
+            read(write(tmp_path, text), SCAN, separator=";", decimal=",")
 
     def test_same_heading_twice(self, tmp_path):
         file = long_csv(tmp_path, ROWS[0] + ",1", head="time,beam,radial_velocity,radial_velocity\n")
         with pytest.raises(InputError, match="has 2 columns 'radial_velocity'"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     def test_wide_without_beams(self, tmp_path):
         file = long_csv(tmp_path, "2020-09-03T19:00:00Z,1", head="time,left\n")
         with pytest.raises(InputError, match="has no column for a beam: its columns are 'time', 'left'"):
-            read_radial_velocity(file, SCAN, file_format="wide")
+            read(file, SCAN, file_format="wide")
 
     def test_wide_without_time(self, tmp_path):
         with pytest.raises(InputError, match="has no column 'time' for time"):
-            read_radial_velocity(long_csv(tmp_path, "1,1", head="when,vr_1\n"), SCAN)
+            read(long_csv(tmp_path, "1,1", head="when,vr_1\n"), SCAN)
 
     def test_wide_with_unknown_beam(self, tmp_path):
         with pytest.raises(InputError, match="Unknown beam '7' in column 'vr_7' of file"):
-            read_radial_velocity(long_csv(tmp_path, "2020-09-03T19:00Z,1", head="time,vr_7\n"), SCAN)
+            read(long_csv(tmp_path, "2020-09-03T19:00Z,1", head="time,vr_7\n"), SCAN)
 
     def test_wide_with_one_beam_twice(self, tmp_path):
         with pytest.raises(InputError, match="has two columns for radial_velocity of beam 1, 'vr_1' and 'beam_1'"):
-            read_radial_velocity(long_csv(tmp_path, "2020-09-03T19:00Z,1,2", head="time,vr_1,beam_1\n"), SCAN)
+            read(long_csv(tmp_path, "2020-09-03T19:00Z,1,2", head="time,vr_1,beam_1\n"), SCAN)
 
     def test_clock_change(self, tmp_path):
         file = long_csv(tmp_path, "2020-10-25T02:30:00,0,1")
         with pytest.raises(
             InputError, match=r"line 2 .* the clock change makes it twice or not at all a time in Europe"
         ):
-            read_radial_velocity(file, SCAN, time_zone="Europe/Berlin")
+            read(file, SCAN, time_zone="Europe/Berlin")
 
     def test_netcdf_without_a_variable(self, tmp_path):
         xr.Dataset.from_dataframe(long_frame(2).drop(columns="beam").rename_axis("sample")).to_netcdf(tmp_path / "a.nc")
         with pytest.raises(InputError, match=r"has no variable 'beam' for beam: its variables are .*'radial_velocity'"):
-            read_radial_velocity(tmp_path / "a.nc", SCAN)
+            read(tmp_path / "a.nc", SCAN)
 
     def test_records_are_no_radial_velocities(self, tmp_path):
         file = tmp_path / "records.nc"
-        make_records(read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN), SCAN).to_netcdf(file, engine="h5netcdf")
+        make_records(read(long_csv(tmp_path, *ROWS), SCAN), SCAN).to_netcdf(file, engine="h5netcdf")
         with pytest.raises(InputError, match="holds records, not radial velocities: give the files that the records"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     def test_netcdf_with_other_dimensions(self, tmp_path):
         dataset = xr.Dataset.from_dataframe(long_frame(2).rename_axis("sample"))
         dataset["cnr"] = ("other", [1.0, 2.0])
         dataset.to_netcdf(tmp_path / "a.nc")
         with pytest.raises(InputError, match=r"Variable 'cnr' in file .* has the dimensions \('other',\)"):
-            read_radial_velocity(tmp_path / "a.nc", SCAN)
+            read(tmp_path / "a.nc", SCAN)
 
     def test_files_that_differ_in_their_columns(self, tmp_path):
         one = long_csv(tmp_path, *ROWS, name="1.csv")
         two = long_csv(tmp_path, "2020-09-03T20:00:00Z,0,1,-5", head="time,beam,radial_velocity,cnr\n", name="2.csv")
         with pytest.raises(InputError, match=r"File '.*1.csv' has no cnr, but another of the files has"):
-            read_radial_velocity([one, two], SCAN)
+            read([one, two], SCAN)
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -486,7 +484,7 @@ class TestBadInput:
     )
     def test_options(self, tmp_path, options, message):
         with pytest.raises(InputError, match=re.escape(message)):
-            read_radial_velocity(long_csv(tmp_path, *ROWS), SCAN, **options)
+            read(long_csv(tmp_path, *ROWS), SCAN, **options)
 
 
 def test_the_formats():
@@ -517,7 +515,7 @@ def test_whatever_is_written_is_read(tmp_path, rows, signs, hours):
         lines.append(between.join([time.isoformat(), str(beam), number]))
     file = write(tmp_path, "\n".join(lines))
     zone = f"UTC{hours:+d}"
-    series = read_radial_velocity(file, SCAN, separator=separator, decimal=decimal, time_zone=zone, out_of_order="sort")
+    series = read(file, SCAN, separator=separator, decimal=decimal, time_zone=zone, out_of_order="sort")
     expected = sorted(rows, key=lambda row: row[:2])
     time = np.array([row[0] for row in expected], dtype="datetime64[ns]") - np.timedelta64(hours, "h")
     np.testing.assert_array_equal(series["time"], time)
@@ -528,7 +526,7 @@ def test_whatever_is_written_is_read(tmp_path, rows, signs, hours):
 
 class TestMeasured:
     def test_report(self, iea_folder):
-        series = read_radial_velocity(sorted(iea_folder.glob("Lidar_*.csv")), load_scan("pulsed-4-beam"))
+        series = read(sorted(iea_folder.glob("Lidar_*.csv")), load_scan("pulsed-4-beam"))
         report = report_of(series)
         assert report["beams_present"] == [2, 3]
         assert report["beams_absent"] == [0, 1]

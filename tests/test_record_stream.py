@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.quality import QualityRules
 from bayes_rs.records.making import make_records
 from bayes_rs.records.stream import StreamState, add_chunk, stream_records
 
@@ -51,10 +52,8 @@ def make_series(seed=1, n_second=700):
 SERIES = make_series()
 OPTIONS = {
     "duration": DURATION,
-    "cnr_range": (-25.0, 0.0),
     "min_availability": 0.5,
-    "despike": "median",
-    "despike_threshold": 2.0,
+    "quality": QualityRules(cnr_range=(-25.0, 0.0), despike="median", despike_threshold=2.0),
 }
 WHOLE = make_records(SERIES, SCAN, **OPTIONS)
 

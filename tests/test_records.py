@@ -20,10 +20,12 @@ from hypothesis import strategies as st
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.quality import MAD_TO_SIGMA, group_median, is_spike
+from bayes_rs.quality import MAD_TO_SIGMA, QualityRules, group_median, is_spike
 from bayes_rs.quality.spikes import running_median
-from bayes_rs.readers import read_radial_velocity
-from bayes_rs.records.making import BEAM_FLAGS, RECORD_FLAGS, describe_report, make_records
+from bayes_rs.readers import read
+from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS
+from bayes_rs.records.making import make_records
+from bayes_rs.records.report import describe_report
 
 ROUNDING = 1e-12
 START = np.datetime64("2020-09-03T19:00", "ns")
@@ -309,7 +311,9 @@ class TestFilters:
         cnr[:6] = [-23.0, -5.0, np.nan, -23.001, -4.999, -10.0]
         good = (cnr >= -23.0) & (cnr <= -5.0)
         assert good[:6].tolist() == [True, True, False, False, False, True]
-        records = make_records(series_of(seconds, beam, velocity, cnr=cnr), SCAN, cnr_range=(-23.0, -5.0))
+        records = make_records(
+            series_of(seconds, beam, velocity, cnr=cnr), SCAN, quality=QualityRules(cnr_range=(-23.0, -5.0))
+        )
         reference = make_records(series_of(seconds[good], beam[good], velocity[good]), SCAN)
         xr.testing.assert_equal(records, reference)
         assert report_of(records)["dropped"]["cnr"] == (~good).sum()
@@ -320,7 +324,9 @@ class TestFilters:
         more = {"status": np.ones(len(beam)), "cnr": np.zeros(len(beam)), "status_valid": 1}
         more["status"][:2] = 0.0
         more["cnr"][:3] = -99.0
-        records = make_records(series_of(seconds, beam, velocity, **more), SCAN, cnr_range=(-23.0, 5.0))
+        records = make_records(
+            series_of(seconds, beam, velocity, **more), SCAN, quality=QualityRules(cnr_range=(-23.0, 5.0))
+        )
         assert report_of(records)["dropped"] == {"missing": 1, "status": 1, "cnr": 1, "despike": 0}
         assert report_of(records)["samples_used"] == len(beam) - 3
 
@@ -330,7 +336,9 @@ class TestFilters:
         spikes = np.array([0, 3, 700, 1801, len(beam) - 1])
         spoilt = velocity.copy()
         spoilt[spikes] += [30.0, -30.0, 30.0, -40.0, 30.0]
-        records = make_records(series_of(seconds, beam, spoilt), SCAN, despike="median", despike_threshold=8.0)
+        records = make_records(
+            series_of(seconds, beam, spoilt), SCAN, quality=QualityRules(despike="median", despike_threshold=8.0)
+        )
         good = np.ones(len(beam), dtype=bool)
         good[spikes] = False
         xr.testing.assert_equal(records, make_records(series_of(seconds[good], beam[good], velocity[good]), SCAN))
@@ -458,6 +466,16 @@ class TestBadInput:
             ({"min_availability": "all"}, "Invalid min_availability 'all': it must be a finite number."),
             ({"expected_count": 0}, "Invalid expected_count 0: it must be a finite number above zero."),
             ({"min_count": 0}, "Invalid min_count 0: it must be a whole number of at least 1."),
+        ],
+    )
+    def test_options(self, options, message):
+        seconds, beam, velocity = grid()
+        with pytest.raises(InputError, match=re.escape(message)):
+            make_records(series_of(seconds, beam, velocity, cnr=velocity), SCAN, **options)
+
+    @pytest.mark.parametrize(
+        ("rules", "message"),
+        [
             ({"cnr_range": (-5.0, -23.0)}, "Invalid cnr_range (-5.0, -23.0) dB: it must be a pair (low, high)"),
             ({"cnr_range": -23.0}, "Invalid cnr_range -23.0 dB: it must be a pair (low, high)"),
             ({"despike": "mean"}, "Unknown despike 'mean': it must be one of median."),
@@ -466,14 +484,25 @@ class TestBadInput:
             ({"despike_threshold": -1.0}, "Invalid despike_threshold -1.0: it must be a finite number above zero."),
         ],
     )
-    def test_options(self, options, message):
-        seconds, beam, velocity = grid()
+    def test_rules(self, rules, message):
         with pytest.raises(InputError, match=re.escape(message)):
-            make_records(series_of(seconds, beam, velocity, cnr=velocity), SCAN, **options)
+            QualityRules(**rules)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"durations": 60.0}, "Unknown option 'durations' in the options of records: did you mean 'duration'."),
+            ({"motion": ["a.csv"]}, "The option motion is not used where records are made: give it and the records to"),
+            ({"motion_columns": {"tilt_deg": "Tilt"}}, "The option motion_columns is only used with motion"),
+        ],
+    )
+    def test_options_of_something_else(self, options, message):
+        with pytest.raises(InputError, match=re.escape(message)):
+            make_records(series_of(*grid()), SCAN, **options)
 
     def test_cnr_range_without_cnr(self):
         with pytest.raises(InputError, match=r"Invalid cnr_range .* dB: the series has no cnr; map it"):
-            make_records(series_of(*grid()), SCAN, cnr_range=(-23.0, 0.0))
+            make_records(series_of(*grid()), SCAN, quality=QualityRules(cnr_range=(-23.0, 0.0)))
 
     def test_series_of_another_scan(self):
         with pytest.raises(InputError, match=r"Unknown beam 2 in the series: the beams of scan '2-beam' are \[0, 1\]"):
@@ -509,7 +538,7 @@ class TestMeasured:
     @staticmethod
     def records(iea_folder: Path) -> xr.Dataset:
         scan = load_scan("pulsed-4-beam")
-        return make_records(read_radial_velocity(sorted(iea_folder.glob("Lidar_*.csv")), scan), scan)
+        return make_records(read(sorted(iea_folder.glob("Lidar_*.csv")), scan), scan)
 
     def test_against_csv_and_statistics(self, records, iea_folder):
         chosen: dict[tuple[datetime, int], list[float]] = {}

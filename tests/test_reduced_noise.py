@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise
 
-from bayes_rs import InputError, MannTurbulence, WeakPrior, load_scan, theory_bank
+from bayes_rs import InputError, MannTurbulence, WeakPrior, load_scan
 from bayes_rs.fits.batch import Batch, FitOptions, fit_batch, make_posterior
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import reduced_log_normal_likelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.net import refined_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 
 OPTIONS = FitOptions(
@@ -30,7 +31,7 @@ OPTIONS = FitOptions(
 def bank_of(scan):
     """States at three wind speeds and three directions, with noise that changes with both."""
     base = plain_noise(scan)
-    return NoiseBank(
+    return Noise.join(
         tuple(
             replace(
                 base,
@@ -83,7 +84,7 @@ def test_between_the_states_it_is_as_good_as_the_interpolation():
     """A theory bank whose covariances are good to 1 %: the densities of plausible tensors differ by that."""
     scan = load_scan("50-beam")
     flow = MannTurbulence(0.05, 61.0, 3.2)
-    bank = theory_bank(scan, flow, wind_speed=[7.0, 14.0], yaw_deg=[-20.0, 20.0], cache=False, progress=False)
+    bank = refined_noise(scan, flow, wind_speed=[7.0, 14.0], yaw_deg=[-20.0, 20.0], cache=False, progress=False)
     batch = batch_of(scan, [8.1, 11.7, 13.0], [0.1, -0.2, 0.3])
     posterior, _ = make_posterior(batch, bank, OPTIONS)
     noise = ReducedNoise(bank)
@@ -129,9 +130,8 @@ def test_what_it_does_not_suit():
     assert ReducedNoise.suits(bank)
     assert not ReducedNoise.suits(plain_noise(scan))
     assert not ReducedNoise.suits(bank_of(load_scan("6-beam")))
-    assert not ReducedNoise.suits(NoiseBank(tuple(replace(model, gain=0.9 * model.gain) for model in bank.models)))
-    less = [replace(model, gain=model.gain - [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]) for model in bank.models]
-    assert not ReducedNoise.suits(NoiseBank(tuple(less)))
+    assert not ReducedNoise.suits(replace(bank, gain=0.9 * bank.gain))
+    assert not ReducedNoise.suits(replace(bank, gain=bank.gain - [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert all(ReducedNoise.suits(bank_of(scan.select(np.arange(n)))) is (n >= 16) for n in (15, 16, 17))
 
 

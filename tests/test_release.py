@@ -74,10 +74,10 @@ class TestContent:
             "import bayes_rs as brs\n\nwide: brs.Scan = brs.load_scan('6-beam')\nwrong: int = brs.load_scan('6-beam')\n"
             "up = brs.Scan('up', [[0.0, 0.0, 1.0]], focus_distance=[100.0], beam_time=[0.0], scan_duration=1.0)\n"
             "flow = brs.load_turbulence('fu-2022')\n"
-            "one: brs.NoiseModel = brs.calibrate(up, flow, wind_speed=10.0)\n"
-            "bank: brs.NoiseBank = brs.calibrate(up, flow, wind_speed=[8.0, 12.0])\n"
-            "again: brs.NoiseBank = brs.calibrate(up, flow, wind_speed=10.0, yaw_deg=[0.0, 20.0])\n"
-            "brs.plot_corner(brs.open_result('folder')).savefig('corner.png')\n"
+            "one: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=10.0)\n"
+            "bank: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=[8.0, 12.0])\n"
+            "again: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=10.0, yaw_deg=[0.0, 20.0])\n"
+            "corner(brs.open_result('folder')).savefig('corner.png')\n"
         )
         command = [sys.executable, "-m", "mypy", "--config-file=", "--follow-imports=silent", "use.py"]
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)  # noqa: S603 - our own

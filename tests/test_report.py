@@ -10,17 +10,17 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
+from bayes_rs.report.folder import NUMBERS, read_folder
 from campaign_scene import make_records
 from click.testing import CliRunner
 from report_scene import EVIL, demo_records, evil_folder, result_folder, table_folder
 
-from bayes_rs import STRESSES, InputError, open_result, read_summary, summary, write_report
+from bayes_rs import STRESSES, InputError, open_result, read_summary, write_report
 from bayes_rs.cli.report_command import report
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.result import FLAGS, group
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
-from bayes_rs.report.folder import NUMBERS, read_folder
 from bayes_rs.report.packing import MISSING, pack, pack_rows, pack_steps, plain
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
@@ -115,7 +115,7 @@ class Elements(HTMLParser):
 class TestNumbers:
     def test_a_full_result_gives_the_numbers_of_its_summary(self, full):
         found = read_folder(full)
-        expected = summary(open_result(full), prob=0.9, derived=("ti",))
+        expected = open_fit(full).summary(prob=0.9, derived=("ti",))
         for name in NUMBERS:
             rows = expected[expected["stress"].isin(STRESSES)][name].to_numpy().reshape(-1, 6)
             np.testing.assert_array_equal(found.numbers[name], rows)
@@ -133,7 +133,7 @@ class TestNumbers:
 
     def test_another_probability_is_computed_from_the_draws(self, full):
         half = read_folder(full, prob=0.5)
-        expected = summary(open_result(full), prob=0.5)
+        expected = open_fit(full).summary(prob=0.5)
         np.testing.assert_array_equal(half.numbers["hdi_low"].ravel(), expected["hdi_low"])
         assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
 

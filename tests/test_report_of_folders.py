@@ -8,19 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.report.folder import read_folder
 from folder_scene import DURATION, FITTING, FLOW, RECORDING
 
 from bayes_rs import (
     InputError,
     WeakPrior,
-    calibrate,
-    directions,
     fit,
     fit_campaign,
     load_scan,
     make_records,
     open_result,
-    read_radial_velocity,
+    read,
     run_fit,
     run_folder_fit,
     save_scan,
@@ -30,7 +29,7 @@ from bayes_rs import (
 from bayes_rs.fits import plan as campaign_plan
 from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
-from bayes_rs.report.folder import read_folder
+from bayes_rs.noise.calibrating import calibrate
 
 pytestmark = pytest.mark.slow
 N_RECORD = 10
@@ -59,9 +58,7 @@ def place(tmp_path_factory):
     calibrate(scan, FLOW, wind_speed=10.0, duration=DURATION, cache=False).save(folder / "noise.nc")
     options = {"noise_file": folder / "noise.nc", "prior": PRIOR, "derived": DERIVED, "sampler": "auto", **FITTING}
     reading = {"invalid": [9999.0]}
-    records = make_records(
-        read_radial_velocity(folder / "year", scan, on_bad_file="skip", **reading), scan, **RECORDING
-    )
+    records = make_records(read(folder / "year", scan, on_bad_file="skip", **reading), scan, **RECORDING)
     run_fit(records, scan, folder / "at-once", **options)
     for draws in ("none", "float64"):
         run_folder_fit(
@@ -114,7 +111,7 @@ class TestSameSections:
 
     def test_directions_are_those_of_the_result(self, place):
         scan = load_scan(place / "mine.toml")
-        expected = directions(open_result(place / "at-once"), scan)
+        expected = open_result(place / "at-once").directions()
         found = read_folder(place / "none").directions
         # another order of summation in the singular values, nothing else
         pd.testing.assert_frame_equal(found, expected, check_exact=False, rtol=1e-12, atol=1e-12)
@@ -132,7 +129,7 @@ class TestSameBytes:
             order = np.argsort(np.arange(len(frame)) + np.random.default_rng(3).uniform(0.0, 30.0, len(frame)))
             frame.iloc[order].to_csv(tmp_path / "year" / file.name, index=False)
         reading = {"invalid": [9999.0], "out_of_order": "sort"}
-        whole = json.loads(read_radial_velocity(tmp_path / "year", scan, **reading).attrs["read_report"])
+        whole = json.loads(read(tmp_path / "year", scan, **reading).attrs["read_report"])
         assert whole["samples_out_of_order"] > 100
         for rows in (40, 333, 100_000):
             stored = record_store.store_records(
@@ -146,7 +143,7 @@ class TestSameBytes:
             (tmp_path / "year" / day).mkdir(parents=True)
             shutil.copy(place / "year" / name, tmp_path / "year" / day / "lidar.csv")
         stored = record_store.store_records(tmp_path / "year", scan, tmp_path / "store", **RECORDING)
-        whole = read_radial_velocity(tmp_path / "year", scan)
+        whole = read(tmp_path / "year", scan)
         assert json.loads(stored.records.attrs["read_report"]) == json.loads(whole.attrs["read_report"])
         assert len(json.loads(whole.attrs["read_report"])["files"]) == 2
 

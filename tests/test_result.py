@@ -8,7 +8,7 @@ import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, WeakPrior, fit, flag_words, load_scan
-from bayes_rs.fits.result import FLAGS, N_PRIOR_DRAW, check_result, group
+from bayes_rs.fits.flags import FLAGS
 
 
 @pytest.fixture(scope="module")
@@ -138,8 +138,8 @@ class TestFile:
             assert back.load().identical(result)
 
     def test_group_is_a_dataset_of_one_group(self, result):
-        assert isinstance(group(result, "posterior"), xr.Dataset)
-        assert group(result, "posterior").identical(result["posterior"].to_dataset())
+        assert isinstance(result["posterior"], xr.Dataset)
+        assert result["posterior"].identical(result["posterior"].to_dataset())
 
     def test_arviz_opens_the_file_as_it_is(self, result, file, arviz):
         opened = arviz.from_netcdf(file)

@@ -33,7 +33,7 @@ def build(scan, n_record, prior, seed):
         variance,
         np.ones(shape, dtype=bool),
         np.broadcast_to(design_matrix(scan), (*shape, 6)),
-        np.broadcast_to(noise.covariance, (*shape, scan.n_beam)),
+        np.broadcast_to(noise.covariance[0], (*shape, scan.n_beam)),
     )
 
 

@@ -45,7 +45,7 @@ def test_the_plain_inversions_are_realizable_or_not_as_the_page_says(benchmark, 
     total = 0
     for height, row in shown.items():
         scan = brs.find_scan(six_beam_hour, height=height)
-        series = brs.read_radial_velocity(six_beam_hour, scan)
+        series = brs.read(six_beam_hour, scan)
         records = brs.make_records(series, scan)
         bad = int((~brs.estimate(records, scan)["realizable"]).sum())
         hour = brs.make_records(series, scan, duration=3600.0)

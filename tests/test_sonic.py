@@ -4,20 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayes_rs.fits.fit_job import run_fit
 from noise_checks import check_noise
 from other_likelihoods import OTHER_LIKELIHOODS
 from scenes import records_of
 from scipy import stats
 
-from bayes_rs import calibrate, fit, load_noise, load_scan, load_turbulence, noise_for_records
-from bayes_rs.calibration.bank import theory_bank
+from bayes_rs import fit, load_scan, load_turbulence
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.fits.fit_job import run_fit
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import is_realizable, pack_stress, unpack_stress
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.box_noise import Boxes
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.choice import noise_for_records
+from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.net import refined_noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sonic import CLIP_LIMIT, SonicFactor, factored_tensor, match_factor
 from bayes_rs.priors.registry import WeakPrior
@@ -46,13 +50,13 @@ def sonic_noise(scan, **changes):
 
 
 def matched(noise):
-    return match_factor(noise.sonic_covariance[np.newaxis], noise.sonic_beam_covariance[np.newaxis])
+    return match_factor(noise.sonic_covariance[0, np.newaxis], noise.sonic_beam_covariance[0, np.newaxis])
 
 
 def joint(noise, factor):
     """The covariance of g and ln y of one state."""
     across = factor.beam_covariance[0]
-    return np.block([[factor.covariance[0], across], [across.T, np.log1p(noise.covariance)]])
+    return np.block([[factor.covariance[0], across], [across.T, np.log1p(noise.covariance[0])]])
 
 
 def draw_records(noise, stress, rng, dof=np.inf):
@@ -62,7 +66,7 @@ def draw_records(noise, stress, rng, dof=np.inf):
     drawn = rng.multivariate_normal(np.zeros(len(whole)), whole, len(stress), method="eigh")
     if np.isfinite(dof):
         drawn *= np.sqrt(dof / rng.chisquare(dof, (len(stress), 1)))  # one factor for the sonic and the beams
-    log_variance = np.log(stress @ noise.gain.T) - 0.5 * np.diag(whole)[6:] + drawn[:, 6:]
+    log_variance = np.log(stress @ noise.gain[0].T) - 0.5 * np.diag(whole)[6:] + drawn[:, 6:]
     return factored_tensor(stress, factor.mean[0] + drawn[:, :6]), np.exp(log_variance)
 
 
@@ -114,8 +118,8 @@ class TestFactor:
         error = np.sqrt(((off**2).T @ off**2 / n_draw - measured**2) / n_draw)
         want = np.block(
             [
-                [noise.sonic_covariance, noise.sonic_beam_covariance],
-                [noise.sonic_beam_covariance.T, noise.covariance],
+                [noise.sonic_covariance[0], noise.sonic_beam_covariance[0]],
+                [noise.sonic_beam_covariance[0].T, noise.covariance[0]],
             ]
         )
         assert np.all(np.abs(measured - want) < 5.0 * error)
@@ -123,7 +127,7 @@ class TestFactor:
     def test_to_first_order_only_would_contradict_the_likelihood(self, six_beams):
         """Why g is matched to second order: K beside ln(1 + K) is no covariance."""
         _, noise = six_beams
-        first = SonicFactor(np.zeros((1, 6)), noise.sonic_covariance[None], noise.sonic_beam_covariance[None])
+        first = SonicFactor(np.zeros((1, 6)), noise.sonic_covariance[0, None], noise.sonic_beam_covariance[0, None])
         assert np.linalg.eigvalsh(joint(noise, first))[0] < -1e-4
         assert np.linalg.eigvalsh(joint(noise, matched(noise)))[0] > 0.0
 
@@ -153,8 +157,8 @@ class TestFactor:
     def test_a_record_is_matched_alike_in_any_company(self, six_beams):
         _, noise = six_beams
         other = sonic_noise(six_beams[0], wind_speed=1.5)
-        covariance = np.stack([noise.sonic_covariance, other.sonic_covariance])
-        across = np.stack([noise.sonic_beam_covariance, other.sonic_beam_covariance])
+        covariance = np.stack([noise.sonic_covariance[0], other.sonic_covariance[0]])
+        across = np.stack([noise.sonic_beam_covariance[0], other.sonic_beam_covariance[0]])
         for inflation in (1.0, 1.4):
             together = match_factor(covariance, across, inflation=inflation)
             alone = match_factor(covariance[:1], across[:1], inflation=inflation)
@@ -163,7 +167,7 @@ class TestFactor:
 
     def test_inflation_widens_and_keeps_the_mean(self, six_beams):
         _, noise = six_beams
-        factor = match_factor(noise.sonic_covariance[None], noise.sonic_beam_covariance[None], inflation=2.0)
+        factor = match_factor(noise.sonic_covariance[0, None], noise.sonic_beam_covariance[0, None], inflation=2.0)
         np.testing.assert_allclose(factor.covariance, 2.0 * matched(noise).covariance, rtol=1e-12)
         rng = np.random.default_rng(4)
         drawn = rng.multivariate_normal(factor.mean[0], factor.covariance[0], 200_000)
@@ -211,7 +215,7 @@ class TestLaws:
         records = records_of(stress @ design_matrix(scan).T, scan)
         near = {"scan": scan, "noise": noise, "seed": 1, "target_ess": 8000}
         expected, sonic = (np.log(draws_of(fit(records, target=t, **near))[0, 0]) for t in ("record", "sonic"))
-        added = np.log1p(noise.sonic_covariance[0, 0])
+        added = np.log1p(noise.sonic_covariance[0, 0, 0])
         error = np.sqrt(2.0 / 8000)  # of a variance, relatively
         assert sonic.var() == pytest.approx(expected.var() + added, rel=5.0 * error)
         assert sonic.mean() == pytest.approx(expected.mean() - 0.5 * added, abs=5.0 * np.sqrt(sonic.var() / 8000))
@@ -237,7 +241,7 @@ class TestLaws:
 
     def test_a_length_scale_that_is_hardly_uncertain_changes_nothing(self):
         scan = load_scan("staring")
-        bank = theory_bank(
+        bank = refined_noise(
             scan, SEED, wind_speed=[WIND_SPEED], length_scale=[40.0, 100.0], cache=False, sonic=True, tolerance=0.02
         )
         records = records_of(np.array([[1.2]]), scan)
@@ -326,10 +330,10 @@ class TestNoise:
         scan, noise = six_beams
         check_noise(noise, scan, tmp_path)
         again = load_noise(tmp_path / "noise.nc")
-        np.testing.assert_array_equal(again.sonic_covariance, noise.sonic_covariance)
-        np.testing.assert_array_equal(again.sonic_beam_covariance, noise.sonic_beam_covariance)
+        np.testing.assert_array_equal(again.sonic_covariance[0], noise.sonic_covariance[0])
+        np.testing.assert_array_equal(again.sonic_beam_covariance[0], noise.sonic_beam_covariance[0])
         np.testing.assert_array_equal(
-            noise.select([4, 1]).sonic_beam_covariance, noise.sonic_beam_covariance[:, [4, 1]]
+            noise.select([4, 1]).sonic_beam_covariance, noise.sonic_beam_covariance[:, :, [4, 1]]
         )
         assert noise.details["sonic_position"] == [0.0, 0.0, 0.0]
 
@@ -337,7 +341,7 @@ class TestNoise:
         scan, noise = six_beams
         plain = theory_noise(scan, SEED, wind_speed=WIND_SPEED)
         assert not plain.has_sonic
-        np.testing.assert_array_equal(plain.covariance, noise.covariance)
+        np.testing.assert_array_equal(plain.covariance[0], noise.covariance[0])
         plain.save(tmp_path / "plain.nc")
         assert not load_noise(tmp_path / "plain.nc").has_sonic
         assert "sonic_covariance" not in plain.to_dataset()
@@ -345,39 +349,41 @@ class TestNoise:
     def test_the_dissipation_has_no_influence(self, six_beams):
         scan, noise = six_beams
         other = theory_noise(scan, replace(SEED, dissipation=0.2), wind_speed=WIND_SPEED, sonic=True)
-        np.testing.assert_allclose(other.sonic_covariance, noise.sonic_covariance, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(other.sonic_beam_covariance, noise.sonic_beam_covariance, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(other.sonic_covariance[0], noise.sonic_covariance[0], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            other.sonic_beam_covariance[0], noise.sonic_beam_covariance[0], rtol=1e-9, atol=1e-12
+        )
 
     @pytest.mark.parametrize("name", ["6-beam", "51-beam"])
     def test_joint_covariances_are_positive_semi_definite(self, name):
-        assert np.linalg.eigvalsh(sonic_noise(load_scan(name)).joint_covariance)[0] > 0.0
+        assert np.linalg.eigvalsh(sonic_noise(load_scan(name)).joint_covariance[0])[0] > 0.0
 
     def test_a_bank_is_interpolated(self, tmp_path):
         scan = load_scan("4-beam")
-        bank = theory_bank(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path, sonic=True)
+        bank = refined_noise(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path, sonic=True)
         check_noise(bank, scan, tmp_path)
         assert bank.interpolation_error < 0.01
         speed, yaw = 8.3, np.deg2rad(13.0)
         between = bank.sonic_for_records([speed, speed], [yaw, yaw])
         truth = sonic_noise(scan, wind_speed=speed, yaw=yaw)
-        size = np.linalg.norm(truth.joint_covariance)
-        assert np.linalg.norm(between.covariance[0] - truth.sonic_covariance) < 0.01 * size
-        assert np.linalg.norm(between.beam_covariance[0] - truth.sonic_beam_covariance) < 0.01 * size
+        size = np.linalg.norm(truth.joint_covariance[0])
+        assert np.linalg.norm(between.covariance[0] - truth.sonic_covariance[0]) < 0.01 * size
+        assert np.linalg.norm(between.beam_covariance[0] - truth.sonic_beam_covariance[0]) < 0.01 * size
         assert between.state.tolist() == [0, 0]
-        again = theory_bank(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path, sonic=True)
+        again = refined_noise(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path, sonic=True)
         assert again.has_sonic
-        without = theory_bank(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path)
+        without = refined_noise(scan, SEED, wind_speed=[6.0, 14.0], yaw_deg=[0.0, 20.0], cache=tmp_path)
         assert not without.has_sonic
 
     def test_a_bank_of_several_flows_keeps_them_at_one(self):
         scan = load_scan("staring")
-        bank = theory_bank(
+        bank = refined_noise(
             scan, SEED, wind_speed=[8.0, 12.0], length_scale=[40.0, 90.0], cache=False, sonic=True, tolerance=0.02
         )
         one = bank.at_turbulence(61.0, 3.2)
-        for model in one.models:
-            truth = sonic_noise(scan, wind_speed=model.wind_speed)
-            np.testing.assert_allclose(model.sonic_covariance[0, 0], truth.sonic_covariance[0, 0], rtol=0.02)
+        for wind_speed, covariance in zip(one.wind_speed, one.sonic_covariance, strict=True):
+            truth = sonic_noise(scan, wind_speed=float(wind_speed))
+            np.testing.assert_allclose(covariance[0, 0], truth.sonic_covariance[0, 0, 0], rtol=0.02)
 
     def test_calibrate_keeps_the_two_apart_in_its_cache(self, tmp_path):
         scan = load_scan("staring")
@@ -385,18 +391,18 @@ class TestNoise:
         assert not calibrate(scan, SEED, **how).has_sonic
         first = calibrate(scan, SEED, sonic=True, **how)
         again = calibrate(scan, SEED, sonic=True, **how)
-        np.testing.assert_array_equal(first.joint_covariance, again.joint_covariance)
+        np.testing.assert_array_equal(first.joint_covariance[0], again.joint_covariance[0])
         assert not calibrate(scan, SEED, **how).has_sonic
 
     def test_records_get_it_when_asked(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
         scan = load_scan("staring")
         records = records_of(np.array([[1.0], [1.5]]), scan)
-        noise, words = noise_for_records(records, scan, SEED, sonic=True)
+        noise = noise_for_records(records, scan, SEED, sonic=True)
         assert noise.has_sonic
-        assert words.endswith("; with the moments of a sonic")
+        assert noise.in_words().endswith("; with the moments of a sonic")
         records["wind_speed"][:] = [8.0, 9.0]
-        bank, _ = noise_for_records(records, scan, SEED, sonic=True)  # the shipped bank has none
+        bank = noise_for_records(records, scan, SEED, sonic=True)  # the shipped bank has none
         assert bank.has_sonic
 
     def test_the_whole_job(self, tmp_path, monkeypatch):
@@ -419,7 +425,7 @@ class TestRefusals:
         records, scan, noise = scene
         plain = replace(noise, sonic_covariance=None, sonic_beam_covariance=None)
         with pytest.raises(
-            InputError, match=r"holds no moments with a sonic, .* make it with calibrate\(..., sonic=True\)"
+            InputError, match=r"holds no moments with a sonic, .* make it with noise.calibrate\(..., sonic=True\)"
         ):
             fit(records, scan, noise=plain, target="sonic", seed=1)
 
@@ -431,7 +437,7 @@ class TestRefusals:
 
     def test_moments_that_contradict_each_other(self, scene):
         records, scan, noise = scene
-        wrong = replace(noise, sonic_beam_covariance=1.2 * noise.sonic_beam_covariance)
+        wrong = replace(noise, sonic_beam_covariance=1.2 * noise.sonic_beam_covariance[0])
         with pytest.raises(NotPositiveDefiniteError, match=r"of the largest below zero, and 0.05 is allowed") as caught:
             fit(records, scan, noise=wrong, target="sonic", seed=1)
         assert caught.value.smallest_eigenvalue < 0.0
@@ -441,7 +447,7 @@ class TestRefusals:
         with pytest.raises(InputError, match="only method='theory' has the joint moments"):
             calibrate(scan, SEED, wind_speed=10.0, method="boxes", sonic=True)
         with pytest.raises(InputError, match="Invalid noise method 'boxes' for the target 'sonic'"):
-            noise_for_records(records, scan, SEED, method="boxes", sonic=True)
+            noise_for_records(records, scan, SEED, boxes=Boxes(), sonic=True)
 
     def test_half_of_the_moments(self, scene):
         _, _, noise = scene

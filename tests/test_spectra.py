@@ -169,7 +169,7 @@ class TestRadialSpectra:
         cnr = np.zeros(600)
         cnr[100:150] = -30.0
         series = series.assign(cnr=("sample", cnr))
-        records = brs.make_records(series, STARING, cnr_range=(-23.0, 10.0))
+        records = brs.make_records(series, STARING, quality=brs.QualityRules(cnr_range=(-23.0, 10.0)))
         spectra = brs.radial_spectra(series, STARING, records)
         assert int(spectra["count"].values[0, 0]) == int(records["count"].values[0, 0]) == 550
         assert np.all(np.isnan(spectra["radial_velocity"].values[0, 0, 100:150]))
@@ -182,7 +182,7 @@ class TestRadialSpectra:
         spectra = brs.radial_spectra(series, STARING, brs.make_records(series, STARING))
         assert np.isfinite(spectra["spectrum"].values[0]).all()
         assert np.isnan(spectra["spectrum"].values[1]).all()
-        fit = brs.fit_spectra(spectra, STARING, show_progress=False)
+        fit = brs.fit_spectra(spectra, STARING, progress=False)
         assert np.isfinite(fit["length_scale"].values).tolist() == [True, False]
 
     def test_jitter_is_taken_to_slots_and_uneven_times_are_refused(self):
@@ -308,7 +308,7 @@ def recovered():
     series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=160, seed=21)
     records = brs.make_records(series, scan)
     spectra = brs.radial_spectra(series, scan, records)
-    return scan, records, spectra, brs.fit_spectra(spectra, scan, show_progress=False)
+    return scan, records, spectra, brs.fit_spectra(spectra, scan, progress=False)
 
 
 class TestMannFit:
@@ -347,22 +347,22 @@ class TestMannFit:
         scan, flow = staring(2.0), brs.load_turbulence(flow)
         series = brs.simulate(scan, flow, wind_speed=speed, n_records=60, seed=5)
         spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-        pooled = brs.pool_length_scale(brs.fit_spectra(spectra, scan, gamma=flow.gamma, show_progress=False))
+        pooled = brs.pool_length_scale(brs.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False))
         width = float(pooled["length_scale_log_sd"][0])
         assert abs(np.log(float(pooled["length_scale"][0]) / flow.length_scale)) < 3.5 * width < 0.6
 
     def test_the_dimension_of_gamma_is_averaged_over(self, recovered):
         scan, _, spectra, fit = recovered
         some = spectra.isel(record=slice(0, 4))
-        both = brs.fit_spectra(some, scan, gamma=[2.2, 3.2, 4.2], show_progress=False)
+        both = brs.fit_spectra(some, scan, gamma=[2.2, 3.2, 4.2], progress=False)
         assert np.all((both["gamma"].values > 2.2) & (both["gamma"].values < 4.2))
         assert np.all(both["gamma_sd"].values > 0.5)  # one beam hardly sees it: uniform on three nodes has 0.82
-        alone = brs.fit_spectra(some, scan, gamma=[3.2], show_progress=False)
+        alone = brs.fit_spectra(some, scan, gamma=[3.2], progress=False)
         assert alone["length_scale"].values == pytest.approx(fit["length_scale"].values[:4], rel=0.02)
 
     def test_records_do_not_depend_on_the_numbers_beside_them_but_through_the_ratio(self, recovered):
         scan, _, spectra, fit = recovered
-        other = brs.fit_spectra(spectra.isel(record=slice(0, 3)), scan, show_progress=False)
+        other = brs.fit_spectra(spectra.isel(record=slice(0, 3)), scan, progress=False)
         ratio = other.attrs["information_ratio"][0] / fit.attrs["information_ratio"][0]
         assert ratio == pytest.approx(1.0, abs=0.1)
         assert other["expected"].values == pytest.approx(fit["expected"].values[:3], rel=0.02)
@@ -402,15 +402,15 @@ class TestFeedingTheNoise:
         scan, records, _, fit = recovered
         some = brs.with_length_scale(records, fit).isel(record=slice(0, 6))
         scale = some["length_scale"].values
-        bank, _ = brs.noise_for_records(
-            some, scan, FLOW, length_scale=[float(scale.min()), float(scale.max())], progress=False
+        bank = brs.noise.calibrate(
+            scan, FLOW, records=some, length_scale=[float(scale.min()), float(scale.max())], progress=False
         )
         noise = bank.for_records(
             some["wind_speed"].values, np.deg2rad(some["yaw"].values), length_scale=scale, gamma=np.full(6, 3.2)
         )
-        own = brs.fit(some, scan, noise=bank, seed=1, sampler="direct", show_progress=False)
+        own = brs.fit(some, scan, noise=bank, seed=1, sampler="direct", progress=False)
         common = brs.with_length_scale(records, fit, brs.pool_length_scale(fit)).isel(record=slice(0, 6))
-        plain = brs.fit(common, scan, noise=bank, seed=1, sampler="direct", show_progress=False)
+        plain = brs.fit(common, scan, noise=bank, seed=1, sampler="direct", progress=False)
         order = np.argsort(scale)
         assert np.all(np.diff(noise.covariance[order, 0, 0]) > 0.0)  # larger eddies, fewer of them in a record
 
@@ -428,7 +428,7 @@ class TestAlongWind:
         scan, speed = brs.load_scan("pulsed-4-beam"), 10.0
         series = brs.simulate(scan, FLOW, wind_speed=speed, n_records=120, seed=3)
         spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-        fit = brs.fit_spectra(spectra, scan, instrument_noise_sd=0.0, show_progress=False)
+        fit = brs.fit_spectra(spectra, scan, instrument_noise_sd=0.0, progress=False)
         along = brs.along_wind_spectra(spectra, scan, fit)
         n = spectra.sizes["slot"]
         u = scaled_autocovariance(

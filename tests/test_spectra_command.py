@@ -85,13 +85,13 @@ def test_its_records_go_into_a_fit(tmp_path, common):
 
 def test_the_measured_day(iea_folder):
     scan = brs.load_scan("pulsed-4-beam")
-    series = brs.read_radial_velocity(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+    series = brs.read(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     records = brs.make_records(series, scan)
     day = brs.radial_spectra(series, scan, records)
     assert day.attrs["interval"] == pytest.approx(4.0, rel=0.01)
     both = records["flag"].values == 0
     assert day["variance"].values[both] == pytest.approx(records["variance"].values[both], rel=1e-3)
-    fit = brs.fit_spectra(day, scan, show_progress=False)
+    fit = brs.fit_spectra(day, scan, progress=False)
     assert np.isfinite(fit["length_scale"].values).sum() >= 140
     pooled = brs.pool_length_scale(fit)
     assert 15.0 < float(pooled["length_scale"][0]) < 400.0
@@ -123,7 +123,7 @@ def test_the_measured_hour(six_beam_hour):
     hour = brs.radial_spectra(series, scan, records)
     assert hour.attrs["interval"] == pytest.approx(30.2, rel=0.02)
     assert float(hour["timing_spread"].max()) < 0.25
-    fit = brs.fit_spectra(hour, scan, show_progress=False)
+    fit = brs.fit_spectra(hour, scan, progress=False)
     # twenty samples, 30 s apart: every record says little more than the prior, whose width is 0.8
     assert np.nanmin(fit["length_scale_log_sd"].values) > 0.3
     found = brs.estimate_instrument_noise(hour, scan, brs.load_turbulence("fu-2022"))

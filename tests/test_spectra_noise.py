@@ -165,10 +165,10 @@ class TestFit:
     @pytest.fixture(scope="class")
     @staticmethod
     def noise(six):
-        return brs.theory_noise(six[0], FLOW, wind_speed=10.0)
+        return brs.noise.theory(six[0], FLOW, wind_speed=10.0)
 
     def draws(self, six, noise, records, **options):
-        return brs.fit(records, six[0], noise=noise, seed=1, sampler="direct", show_progress=False, **options)
+        return brs.fit(records, six[0], noise=noise, seed=1, sampler="direct", progress=False, **options)
 
     def test_the_same_number_in_records_and_options_is_the_same_fit(self, six, noise):
         _, records, _ = six
@@ -205,7 +205,7 @@ class TestFit:
             own, scan, tmp_path / "year", noise=noise, seed=1, sampler="direct", instrument_noise="records"
         )
         means = campaign.summary()["mean"].to_numpy()
-        assert np.array_equal(means, brs.summary(result)["mean"].to_numpy(), equal_nan=True)
+        assert np.array_equal(means, result.summary()["mean"].to_numpy(), equal_nan=True)
 
     def test_uncertain_noise_has_the_mean_of_the_used_beams_as_median(self):
         used = np.array([[True, True, False], [True, False, False]])

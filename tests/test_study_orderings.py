@@ -10,10 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bayes_rs import compare, load_scan, load_turbulence, sight, theory_noise
+from bayes_rs import compare, load_scan, load_turbulence
 from bayes_rs.design.comparing import truth_of
-from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.by_theory import theory_noise
 
 FLOW = load_turbulence("fu-2022")
 WIND_SPEED = 10.0
@@ -28,9 +29,9 @@ def scatter(name, opening_angle_deg=None, focus_distance=None):
         focus_distance=focus_distance if not isinstance(focus_distance, tuple) else list(focus_distance),
     )
     noise = theory_noise(scan, FLOW, wind_speed=WIND_SPEED)
-    expected = noise.gain @ truth_of(scan, FLOW, WIND_SPEED, 600.0, "record")
+    expected = noise.gain[0] @ truth_of(scan, FLOW, WIND_SPEED, 600.0, "record")
     inverse = np.linalg.pinv(design_matrix(scan))
-    covariance = inverse @ (noise.covariance * np.outer(expected, expected)) @ inverse.T
+    covariance = inverse @ (noise.covariance[0] * np.outer(expected, expected)) @ inverse.T
     return dict(zip(STRESSES, np.sqrt(np.diag(covariance)), strict=True))
 
 

@@ -6,7 +6,7 @@ import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, FlatPrior, InputError, WeakPrior, fit, load_scan, summary
-from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import pack_stress, rotate_stress
@@ -52,7 +52,7 @@ def tree_of(stress, *, wind_speed=10.0):
 
 
 def mean_of(stress, name, **options):
-    table = summary(tree_of(stress, **options), derived=[name])
+    table = tree_of(stress, **options).summary(derived=[name])
     return table[table["stress"] == name]["mean"].to_numpy()
 
 
@@ -63,10 +63,10 @@ class TestTable:
             "mcse_mean mcse_sd mcse_median mcse_low mcse_high ess_bulk ess_tail r_hat flag"
         )
         assert expected.split() == list(COLUMNS)
-        assert list(summary(result).columns) == list(COLUMNS)
+        assert list(result.summary().columns) == list(COLUMNS)
 
     def test_rows_are_records_times_stresses_in_their_order(self, result):
-        table = summary(result, derived=["tke", "ti"])
+        table = result.summary(derived=["tke", "ti"])
         names = [*STRESSES, "tke", "ti"]
         assert table["stress"].tolist() == names * 4
         assert table["record"].tolist() == np.repeat(np.arange(4), len(names)).tolist()
@@ -74,12 +74,12 @@ class TestTable:
         np.testing.assert_array_equal(table["time"].to_numpy(), np.repeat(start, len(names)))
 
     def test_flags_are_in_words_on_every_row_of_a_record(self, result):
-        table = summary(result)
+        table = result.summary()
         flags = table.groupby("record")["flag"].agg(lambda words: sorted(set(words)))
         assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out"], [""]]
 
     def test_records_that_were_not_fitted_are_rows_of_nan(self, result):
-        table = summary(result, derived=DERIVED)
+        table = result.summary(derived=DERIVED)
         numbers = [name for name in COLUMNS if name not in ("record", "time", "stress", "prob", "flag")]
         missing = table[numbers].isna().groupby(table["record"]).all().all(axis=1)
         assert missing.tolist() == [False, True, False, False]
@@ -87,17 +87,17 @@ class TestTable:
         assert not stresses[numbers].isna().any(axis=None)
 
     def test_a_result_without_times_has_no_time(self):
-        assert summary(tree_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]))["time"].isna().all()
+        assert tree_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]).summary()["time"].isna().all()
 
     def test_more_records_than_one_batch_come_out_in_order(self):
         uu = 1.0 + np.arange(300.0)  # the batch is 256
-        table = summary(tree_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])))
+        table = tree_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])).summary()
         np.testing.assert_allclose(table[table["stress"] == "uu"]["mean"], uu, rtol=1e-6)  # the jitter's mean
 
 
 class TestNumbers:
     def test_moments_are_those_of_each_record_on_its_own(self, result):
-        table = summary(result).set_index(["record", "stress"])
+        table = result.summary().set_index(["record", "stress"])
         for record in (0, 2, 3):
             for name in STRESSES:
                 draws = result["posterior/stress"].sel(record=record, component=name).values.ravel()
@@ -108,7 +108,7 @@ class TestNumbers:
 
     @pytest.mark.parametrize("prob", [0.5, 0.9, 0.95])
     def test_intervals_are_those_of_arviz(self, result, arviz, prob):
-        table = summary(result, prob=prob).set_index(["record", "stress"])
+        table = result.summary(prob=prob).set_index(["record", "stress"])
         assert set(table["prob"]) == {prob}
         for record in (0, 2, 3):
             for name in STRESSES:
@@ -117,7 +117,7 @@ class TestNumbers:
                 np.testing.assert_allclose(row[["hdi_low", "hdi_high"]].astype(float), arviz.hdi(draws, prob))
 
     def test_diagnostics_are_those_in_sample_stats(self, result):
-        table = summary(result)
+        table = result.summary()
         for name in ("ess_bulk", "ess_tail", "r_hat"):
             expected = result["sample_stats"][name].transpose("record", "component").values
             np.testing.assert_allclose(table[name].to_numpy().reshape(4, 6), expected, rtol=1e-12)
@@ -125,14 +125,14 @@ class TestNumbers:
     def test_diagnostics_of_derived_quantities_are_those_of_arviz(self, result, arviz):
         stress = result["posterior/stress"].sel(record=3)
         tke = 0.5 * stress.sel(component=["uu", "vv", "ww"]).sum("component").transpose("chain", "draw").values
-        table = summary(result, derived=["tke"]).set_index(["record", "stress"])
+        table = result.summary(derived=["tke"]).set_index(["record", "stress"])
         row = table.loc[(3, "tke")]
         assert row["mean"] == pytest.approx(tke.mean(), rel=1e-12)
         assert row["ess_bulk"] == pytest.approx(arviz.ess(tke, method="bulk"), rel=1e-10)
         assert row["ess_tail"] == pytest.approx(arviz.ess(tke, method="tail", prob=(0.05, 0.95)), rel=1e-10)
 
     def test_contraction_is_one_minus_the_ratio_of_variances(self, result):
-        table = summary(result).set_index(["record", "stress"])
+        table = result.summary().set_index(["record", "stress"])
         prior = result["prior/stress"].values.reshape(-1, 6)
         for record in (0, 2, 3):
             draws = result["posterior/stress"].sel(record=record).transpose(..., "component").values.reshape(-1, 6)
@@ -150,7 +150,7 @@ def staring(prior):
     scan = load_scan("staring")
     noise = plain_noise(scan, relative_variance=1e-3)
     result = fit(records_of(np.ones((1, 1)), scan), scan, noise=noise, prior=prior, seed=1, target_ess=4000)
-    return summary(result).set_index("stress")
+    return result.summary().set_index("stress")
 
 
 class TestContraction:
@@ -180,14 +180,14 @@ class TestContraction:
             seed=1,
             target_ess=200,
         )
-        table = summary(result)
+        table = result.summary()
         # 1 % noise, amplified less than threefold at 45°: a standard deviation below 0.03, the prior's is above 1
         assert table["contraction"].min() > 0.99
         assert table["contraction_shape"].min() > 0.9
 
     def test_turbulence_intensity_has_none(self, result):
         """The prior says nothing of the wind speed."""
-        table = summary(result, derived=DERIVED)
+        table = result.summary(derived=DERIVED)
         rows = table[table["record"] == 0].set_index("stress")
         assert np.isnan(rows.loc["ti", "contraction"])
         assert np.isfinite(rows.loc[list(DERIVED[1:]), "contraction"].astype(float)).all()
@@ -209,7 +209,7 @@ class TestDerivedQuantities:
         np.testing.assert_allclose(mean_of(self.SOME, "ti", wind_speed=8.0), [np.sqrt(1.8) / 8.0, 0.25], rtol=1e-6)
 
     def test_turbulence_intensity_uses_the_wind_speed_of_its_own_record(self, result):
-        table = summary(result, derived=["ti"])
+        table = result.summary(derived=["ti"])
         rows = table[table["stress"] == "ti"].set_index("record")["mean"]
         for record, speed in ((0, 10.0), (2, 12.0), (3, 5.0)):
             uu = result["posterior/stress"].sel(record=record, component="uu").values
@@ -245,16 +245,16 @@ class TestRefusals:
     @pytest.mark.parametrize("prob", [0.0, 1.0, -0.1, 90.0, float("nan")])
     def test_prob_that_is_no_probability(self, result, prob):
         with pytest.raises(InputError, match=rf"Invalid prob {prob}: it must be between 0 and 1\."):
-            summary(result, prob=prob)
+            result.summary(prob=prob)
 
     def test_a_derived_quantity_that_is_not_known(self, result):
         message = r"Unknown derived quantity 'mood': it must be one of ti, ti_v, ti_w, tke, friction_velocity, anis"
         with pytest.raises(InputError, match=message):
-            summary(result, derived=["tke", "mood"])
+            result.summary(derived=["tke", "mood"])
 
     def test_something_else_than_a_result(self):
         with pytest.raises(InputError, match="Not a result of bayes_rs: it has no posterior/stress"):
-            summary(xr.DataTree())
+            xr.summary(.DataTree())
 
 
 def test_flags_of_the_test_scene_are_what_the_fit_says(result):

@@ -13,7 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import make_probe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.scan_writing import save_scan
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.readers import read
 from bayes_rs.readers.rays import angles_of, direction_of
 from bayes_rs.readers.survey import find_scan
 from bayes_rs.records.making import make_records
@@ -58,7 +58,7 @@ class TestTheScanThatMadeTheFile:
     def test_reads_its_file_to_the_same_records(self, tmp_path, series):
         file = write(tmp_path / "noon.nc", rays_of(series, SIX, rough=False))
         found = find_scan(file, height=[100.0, 150.0], name="six")
-        records, expected = make_records(read_radial_velocity(file, found), found), make_records(series, SIX)
+        records, expected = make_records(read(file, found), found), make_records(series, SIX)
         np.testing.assert_allclose(records["variance"], expected["variance"], rtol=1e-12)
         np.testing.assert_array_equal(records["count"], expected["count"])
         np.testing.assert_allclose(records["wind_speed"], expected["wind_speed"], rtol=1e-9)
@@ -228,7 +228,7 @@ class TestInput:
         sweep.to_netcdf(tmp_path / "a.nc")
         with pytest.raises(InputError, match="Invalid elevation -9999"):
             find_scan(tmp_path / "a.nc", height=100.0)
-        assert find_scan(tmp_path / "a.nc", height=100.0, options={"invalid": -9999}).n_beam == 1
+        assert find_scan(tmp_path / "a.nc", height=100.0, invalid=-9999).n_beam == 1
 
     def test_the_gates_of_a_ray_may_change(self, tmp_path):
         """The median over rays: a file in which the gates were once set anew."""

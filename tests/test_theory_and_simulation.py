@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 from test_calibration import exact_covariance
 
-from bayes_rs.calibration.box_noise import noise_from_boxes
 from bayes_rs.geometry.probe import PointProbe, make_probe
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.box_noise import noise_from_boxes
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
 from bayes_rs.simulation.lines import LineMaker
 from bayes_rs.simulation.virtual import RecordState
@@ -40,7 +40,7 @@ def deviations(scan, flow, duration, n_records, seed=1, largest_negative_part=1e
 
 
 def expected_variance(noise):
-    return (1.0 + noise.bias) * (noise.gain @ noise.turbulence.stresses())
+    return (1.0 + noise.bias[0]) * (noise.gain[0] @ noise.turbulence.stresses())
 
 
 def sigmas(deviation, covariance):
@@ -59,7 +59,7 @@ def probabilities(deviation, noise):
     covariance (Hotelling's T²).
     """
     n = len(deviation)
-    values, vectors = np.linalg.eigh(noise.covariance)
+    values, vectors = np.linalg.eigh(noise.covariance[0])
     count = min(DIRECTIONS, len(values))
     plain = deviation @ vectors[:, -count:] / np.sqrt(values[-count:])
     of_means = stats.chi2.sf(n * np.sum(plain.mean(axis=0) ** 2), count)
@@ -142,9 +142,9 @@ class TestLines:
 def check_agreement(scan, duration, n_records, flow, **options):
     """Fail if any entry, or all together, differ from theory by more than chance."""
     deviation, noise = deviations(scan, flow, duration, n_records, **options)
-    standard = np.sqrt(np.diag(noise.covariance) / n_records)
+    standard = np.sqrt(np.diag(noise.covariance[0]) / n_records)
     assert np.abs(deviation.mean(axis=0) / standard).max() < SIGMAS
-    off = sigmas(deviation, noise.covariance)
+    off = sigmas(deviation, noise.covariance[0])
     assert np.abs(off).max() < SIGMAS
     of_means, of_covariances = probabilities(deviation, noise)
     assert of_means > SURE
@@ -214,7 +214,7 @@ class TestBoxes:
         grid = grid_of(size, turbulence)
         exact, expected = box_noise(state, BoxMaker(turbulence, grid))
         noise = noise_from_boxes([state], turbulence, 200, 1, grid=grid)[0]
-        off = (noise.covariance - exact) / noise.standard_error
+        off = (noise.covariance[0] - exact) / noise.standard_error[0]
         assert np.abs(off).max() < SIGMAS
         radial = expected_variance_in_boxes(noise, turbulence, grid)
         np.testing.assert_allclose(radial, expected, rtol=1e-6)  # boxes are in single precision
@@ -241,7 +241,7 @@ class TestBoxes:
 def expected_variance_in_boxes(noise, turbulence, grid):
     tensor = BoxMaker(turbulence, grid).tensor
     n = load_scan("4-beam", opening_angle_deg=30.0).at_yaw(noise.yaw)
-    return (1.0 + noise.bias) * np.einsum("bi,ij,bj->b", n, tensor, n)
+    return (1.0 + noise.bias[0]) * np.einsum("bi,ij,bj->b", n, tensor, n)
 
 
 def box_differences(width, flow, probe=None):
@@ -261,9 +261,9 @@ def box_differences(width, flow, probe=None):
     covariance, expected = box_noise(RecordState(scan, wind_speed, 0.0, 600.0), maker)
     return (
         expected[0] / expected_variance(theory)[0],
-        np.sqrt(covariance[0, 0] / theory.covariance[0, 0]),
-        np.max(covariance / theory.covariance),
-        np.linalg.norm(covariance - theory.covariance) / np.linalg.norm(theory.covariance),
+        np.sqrt(covariance[0, 0] / theory.covariance[0, 0, 0]),
+        np.max(covariance / theory.covariance[0]),
+        np.linalg.norm(covariance - theory.covariance[0]) / np.linalg.norm(theory.covariance[0]),
     )
 
 
@@ -283,11 +283,11 @@ class TestPublishedTrends:
     @pytest.mark.parametrize("name", ["fu-2022", "iec-b"])
     def test_half_an_hour_leaves_more_than_a_tenth_of_the_along_wind_variance_uncertain(self, name):
         noise = theory_noise(load_scan("staring"), load_turbulence(name), wind_speed=10.0, duration=1800.0)
-        assert 0.1 < noise.relative_error[0] < 0.2
+        assert 0.1 < noise.relative_error[0, 0] < 0.2
 
     def test_errors_fall_with_the_root_of_the_duration(self):
         short, long = (
-            theory_noise(load_scan("staring"), SEED, wind_speed=10.0, duration=duration).relative_error[0]
+            theory_noise(load_scan("staring"), SEED, wind_speed=10.0, duration=duration).relative_error[0, 0]
             for duration in (3600.0, 4.0 * 3600.0)
         )
         assert short / long == pytest.approx(2.0, rel=0.05)
@@ -309,5 +309,5 @@ def least_squares_error(**scan_options):
     """Return the standard deviations of vv and ww by least squares, m² s⁻², from ten minutes of six beams."""
     noise = theory_noise(load_scan("6-beam", **scan_options), SEED, wind_speed=10.0)
     expected = expected_variance(noise)
-    solve = np.linalg.pinv(noise.gain)
-    return np.sqrt(np.diag(solve @ (noise.covariance * np.outer(expected, expected)) @ solve.T))[1:3]
+    solve = np.linalg.pinv(noise.gain[0])
+    return np.sqrt(np.diag(solve @ (noise.covariance[0] * np.outer(expected, expected)) @ solve.T))[1:3]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, RatioPrior, Scan, design_matrix, fit, load_scan, summary
+from bayes_rs import InputError, RatioPrior, Scan, design_matrix, fit, load_scan
 from bayes_rs.geometry.attitude import gain_turn, level_direction, roll_matrix
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.noise import Noise
 
 ROUNDING = 1e-12
 
@@ -104,13 +104,13 @@ def test_fit_uses_the_attitude_of_each_record(name, banked):
     variance = draw_variances(stress, turned, plain_noise(turned, relative_variance=2e-4), rng)
     model = plain_noise(scan, relative_variance=2e-4)
     if banked:  # the way of many beams, reduced beforehand
-        model = NoiseBank((replace(model, wind_speed=8.0), replace(model, wind_speed=12.0)))
+        model = Noise.join((replace(model, wind_speed=8.0), replace(model, wind_speed=12.0)))
     records = records_of(variance, scan)
     prior = RatioPrior()
 
     def distance(given):
         found = fit(given, scan, noise=model, seed=1, prior=prior, sampler="direct", target_ess=300)
-        table = summary(found)
+        table = found.summary()
         return np.abs(table["mean"].to_numpy() - stress[0]) / table["sd"].to_numpy()
 
     assert (

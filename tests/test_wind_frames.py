@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, design_matrix, fit, lidar_frame_stress, load_scan, summary
+from bayes_rs import InputError, WeakPrior, design_matrix, fit, load_scan
 from bayes_rs.fits.frames import to_lidar_frame
 
 
@@ -38,8 +38,8 @@ def test_a_quarter_turn_swaps_the_axes():
 
 def test_draws_and_summary_agree(result):
     _, tree = result
-    draws = lidar_frame_stress(tree)
-    table = summary(tree, frame="lidar").set_index(["record", "stress"])
+    draws = tree.lidar_frame()
+    table = tree.summary(frame="lidar").set_index(["record", "stress"])
     mean = draws.mean(("chain", "draw")).values
     for record in range(2):
         for index, name in enumerate(("uu", "vv", "ww", "uv", "uw", "vw")):
@@ -49,7 +49,7 @@ def test_draws_and_summary_agree(result):
 
 def test_at_no_yaw_both_frames_are_one(result):
     _, tree = result
-    in_wind, in_lidar = (summary(tree, frame=frame) for frame in ("wind", "lidar"))
+    in_wind, in_lidar = (tree.summary(frame=frame) for frame in ("wind", "lidar"))
     columns = ["mean", "sd", "hdi_low", "hdi_high", "contraction", "contraction_shape", "r_hat"]
     one, other = (table[table["record"] == 1][columns].to_numpy() for table in (in_wind, in_lidar))
     np.testing.assert_allclose(one, other, rtol=1e-9)
@@ -60,17 +60,17 @@ def test_at_no_yaw_both_frames_are_one(result):
 
 def test_contraction_is_against_the_prior_in_the_same_frame(result):
     _, tree = result
-    table = summary(tree, frame="lidar", derived=["tke", "ti"]).set_index(["record", "stress"])
+    table = tree.summary(frame="lidar", derived=["tke", "ti"]).set_index(["record", "stress"])
     prior = to_lidar_frame(tree["prior/stress"].values.reshape(-1, 6), np.deg2rad(25.0))
-    draws = lidar_frame_stress(tree).values[:, :, 0].reshape(-1, 6)
+    draws = tree.lidar_frame().values[:, :, 0].reshape(-1, 6)
     expected = 1.0 - draws.var(axis=0) / prior.var(axis=0)
     found = [table.loc[(0, name), "contraction"] for name in ("uu", "vv", "ww", "uv", "uw", "vw")]
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert table.loc[(0, "ti"), "mean"] == pytest.approx(np.sqrt(draws[:, 0]).mean() / 10.0, rel=1e-9)
-    plain = summary(tree, derived=["tke"]).set_index(["record", "stress"])
+    plain = tree.summary(derived=["tke"]).set_index(["record", "stress"])
     assert table.loc[(0, "tke"), "mean"] == pytest.approx(plain.loc[(0, "tke"), "mean"], rel=1e-9)
 
 
 def test_refuses_another_frame(result):
     with pytest.raises(InputError, match=r"Unknown frame 'earth': it must be one of wind, lidar\."):
-        summary(result[1], frame="earth")
+        result.summary([1], frame="earth")

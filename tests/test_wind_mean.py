@@ -7,9 +7,9 @@ from scipy import stats
 
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence, mean_wind
-from bayes_rs.noise.theory import probed_covariance
+from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
-from bayes_rs.records.making import RECORD_FLAGS
+from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.wind.mean_error import record_mean_covariance
 
 FLOW = load_turbulence("fu-2022")
@@ -251,8 +251,8 @@ class TestErrorOfMeans:
         """Another way to the same number: the bias of the noise model, from a trace of Toeplitz matrices."""
         scan = load_scan(name)
         found = np.diag(brs.beam_mean_covariance(scan, FLOW, wind_speed=10.0, tolerance=1e-4))
-        noise = brs.theory_noise(scan, FLOW, wind_speed=10.0)
-        records = (1.0 + noise.bias) * (noise.gain @ FLOW.stresses())
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        records = (1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses())
         if name == "6-beam":
             whole = brs.radial_variance(scan, FLOW.stresses())
         else:
@@ -275,8 +275,8 @@ class TestErrorOfMeans:
         variance = np.stack([np.full(6, 1.0), np.full(6, 2.5)])
         found = record_mean_covariance(records_of(mean, scan, variance=variance), scan, FLOW)
         np.testing.assert_allclose(found[1], 2.5 * found[0], rtol=1e-12)
-        noise = brs.theory_noise(scan, FLOW, wind_speed=10.0)
-        expected = (1.0 + noise.bias) * (noise.gain @ FLOW.stresses())
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses())
         as_it_is = record_mean_covariance(records_of(mean, scan), scan, FLOW, scale="turbulence")
         own = record_mean_covariance(records_of(mean, scan, variance=np.tile(expected, (2, 1))), scan, FLOW)
         np.testing.assert_allclose(own, as_it_is, rtol=2e-3)  # tolerance of the covariances, 1e-3 of uu
@@ -335,7 +335,7 @@ class TestMeasuredDay:
     def test_direction_of_the_wind(self, iea_folder):
         """The organisers: the beams look to 221.8° and 250.2°, and the wind blows from the sector 180° to 280°."""
         scan = load_scan("pulsed-4-beam")
-        series = brs.read_radial_velocity(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
+        series = brs.read(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
         found = mean_wind(brs.make_records(series, scan), scan, turbulence=FLOW, heading_deg=236.0)
         direction = found["wind_direction"].values
         assert len(direction) == 144

@@ -270,7 +270,7 @@ class TestReadMotion:
         motion = read_motion(
             files, columns={"time": "Timestamp", "tilt_deg": "Tilt", "roll_deg": "Roll"}, invalid=[9999.0]
         )
-        records = brs.make_records(brs.read_radial_velocity(files, scan), scan)
+        records = brs.make_records(brs.read(files, scan), scan)
         found = with_motion(records, motion, scan)
         np.testing.assert_allclose(found["tilt"], 5.0, atol=0.05)
         np.testing.assert_allclose(found["roll"], 0.0, atol=0.05)

@@ -15,7 +15,8 @@ from ray_checks import CHANGES, FLOW, SIX, check_changed, check_cut_off, check_r
 from ray_files import rays_of, windcube_sweep, write_windcube
 
 from bayes_rs.errors import InputError
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.file_options import FileOptions
+from bayes_rs.readers import read
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.windcube import read_windcube, recognises_windcube, windcube_rays
 from bayes_rs.records.making import make_records
@@ -74,7 +75,7 @@ class TestRoundTrip:
     def test_the_same_records_from_every_layout(self, layout, tmp_path, series, table):
         files = write(tmp_path, table, layout)
         assert all(recognises_windcube(file) for file in files)
-        back = read_radial_velocity(files, SIX)
+        back = read(files, SIX)
         assert back.sizes["sample"] == series.sizes["sample"]
         check_same_records(back, series)
         assert (back["cnr"] == -12.5).all()
@@ -86,17 +87,17 @@ class TestRoundTrip:
     def test_ray_by_ray(self, tmp_path, table):
         """A file for each ray, as WindCubes write fixed directions."""
         files = write(tmp_path, table, "ray by ray")
-        back = read_radial_velocity(files, SIX)
+        back = read(files, SIX)
         assert back.sizes["sample"] == 2 * (30 + len(files) - 1)
 
     def test_a_stamp_at_the_end_goes_to_the_start_where_the_duration_is_known(self, tmp_path, series, table):
         write_windcube(tmp_path / "noon.nc", windcube_sweep(table, accumulation=2.0))
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        back = read(tmp_path / "noon.nc", SIX)
         off = np.abs(back["time"].values - series["time"].values.astype("datetime64[ns]")) / np.timedelta64(1, "ns")
         assert off.max() <= 1.0  # rounding of a double of 1e3 s to ns
-        kept = read_radial_velocity(tmp_path / "noon.nc", SIX, time_stamp="start")
+        kept = read(tmp_path / "noon.nc", SIX, time_stamp="start")
         assert ((kept["time"] - back["time"].values) == np.timedelta64(2, "s")).all()
-        rays = windcube_rays(tmp_path / "noon.nc", resolve_format({}, SIX))
+        rays = windcube_rays(tmp_path / "noon.nc", resolve_format(FileOptions(), SIX))
         np.testing.assert_array_equal(rays.accumulation_time, np.full(len(table.seconds), 2.0))
 
     @pytest.mark.parametrize(
@@ -106,7 +107,7 @@ class TestRoundTrip:
         sweep = windcube_sweep(table.take(slice(0, 12)), accumulation=2.0)
         sweep["ray_accumulation_time"].attrs = {} if units is None else {"units": units}
         sweep.to_netcdf(tmp_path / "noon.nc", engine="h5netcdf")
-        rays = windcube_rays(tmp_path / "noon.nc", resolve_format({}, SIX))
+        rays = windcube_rays(tmp_path / "noon.nc", resolve_format(FileOptions(), SIX))
         if seconds is None and units != b"ms":
             assert rays.accumulation_time is None
         elif seconds is not None:
@@ -116,19 +117,19 @@ class TestRoundTrip:
         velocity = table.velocity.copy()
         velocity[::7] = np.nan
         windcube_sweep(replace(table, velocity=velocity)).to_netcdf(tmp_path / "noon.nc")
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX)
+        back = read(tmp_path / "noon.nc", SIX)
         assert (back["status"].values == np.isfinite(back["radial_velocity"].values)).all()
         sweep = windcube_sweep(table)
         sweep["radial_wind_speed_status"][5] = 0
         sweep.to_netcdf(tmp_path / "status.nc")
-        records = make_records(read_radial_velocity(tmp_path / "status.nc", SIX), SIX)
+        records = make_records(read(tmp_path / "status.nc", SIX), SIX)
         assert int(records["count"].sum()) == 2 * len(table.seconds) - 2
 
     def test_options_count(self, tmp_path, table):
         sweep = windcube_sweep(table).rename(radial_wind_speed="rws", range="slant_range")
         sweep["rws"][3] = -9999.0
         sweep.to_netcdf(tmp_path / "noon.nc")
-        back = read_radial_velocity(
+        back = read(
             tmp_path / "noon.nc",
             SIX,
             file_format="windcube",
@@ -138,7 +139,7 @@ class TestRoundTrip:
         )
         plain = windcube_sweep(table)
         plain.to_netcdf(tmp_path / "plain.nc")
-        other = read_radial_velocity(tmp_path / "plain.nc", SIX)
+        other = read(tmp_path / "plain.nc", SIX)
         known = ~np.isnan(back["radial_velocity"].values)
         assert int((~known).sum()) == 2
         np.testing.assert_array_equal(-back["radial_velocity"].values[known], other["radial_velocity"].values[known])
@@ -150,7 +151,7 @@ class TestTimes:
         sweep = windcube_sweep(table.take(slice(0, 12)))
         sweep = change(sweep)
         sweep.to_netcdf(folder / "noon.nc", engine="h5netcdf")
-        return windcube_rays(folder / "noon.nc", resolve_format({}, SIX)).time
+        return windcube_rays(folder / "noon.nc", resolve_format(FileOptions(), SIX)).time
 
     def test_missing_ones_are_none(self, tmp_path, table):
         def change(sweep):
@@ -185,7 +186,7 @@ class TestBadFiles:
         refused(tmp_path, windcube_sweep(table).drop_vars("radial_wind_speed"), "no variable 'radial_wind_speed', in")
         write_windcube(tmp_path / "empty.nc")
         with pytest.raises(InputError, match="broken off"):
-            read_radial_velocity(tmp_path / "empty.nc", SIX)
+            read(tmp_path / "empty.nc", SIX)
 
     @pytest.mark.parametrize(
         ("change", "match"),
@@ -217,7 +218,7 @@ class TestBadFiles:
         sweep = windcube_sweep(table.take(slice(0, 12)))
         sweep["elevation"].values[4] = -9999.0
         sweep.to_netcdf(tmp_path / "noon.nc")
-        back = read_radial_velocity(tmp_path / "noon.nc", SIX, invalid=-9999)
+        back = read(tmp_path / "noon.nc", SIX, invalid=-9999)
         assert back.sizes["sample"] == 22
         assert json.loads(back.attrs["read_report"])["rows_without_beam"] == 1
 
@@ -233,7 +234,7 @@ class TestBadFiles:
             written["azimuth"].attrs["DIMENSION_LIST"] = "x"
         assert not recognises_windcube(file)
         with pytest.raises(InputError, match=r"noon\.nc.* cannot be read as NetCDF"):
-            read_windcube(file, SIX, resolve_format({}, SIX))
+            read_windcube(file, SIX, resolve_format(FileOptions(), SIX))
 
     def test_a_text_file_is_not_a_windcube_s(self, tmp_path):
         (tmp_path / "noon.nc").write_text("azimuth,elevation\n", encoding="utf-8")
@@ -282,7 +283,7 @@ class TestMutations:
 class TestMeasured:
     def test_the_six_beam_hour(self, six_beam_hour):
         """Counts of rays as a person counts them in the file: 715, in six directions."""
-        back = read_radial_velocity(six_beam_hour, SIX)
+        back = read(six_beam_hour, SIX)
         assert back.sizes["sample"] == 2 * 715
         counts = np.unique(back["beam"].values, return_counts=True)[1]
         assert counts.reshape(2, 6).tolist() == [[119, 119, 119, 120, 119, 119]] * 2

@@ -7,15 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from bayes_rs.fits.fit_job import run_fit
+from bayes_rs.fits.record_yaw import with_yaw_sd
+from bayes_rs.fits.sensitivity_job import run_sensitivity
 from campaign_scene import NOISE, SCAN, make_records
 from click.testing import CliRunner
 
 import bayes_rs as brs
 from bayes_rs.cli import commands
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits.fit_job import run_fit
-from bayes_rs.fits.record_yaw import with_yaw_sd
-from bayes_rs.fits.sensitivity_job import run_sensitivity
 from bayes_rs.posteriors.nuisance import Nuisances
 
 OWN = Nuisances(yaw_sd_deg="records")
@@ -33,7 +33,7 @@ class TestCampaign:
     def test_the_size_of_a_part_changes_no_number(self, records, monkeypatch, tmp_path, size):
         monkeypatch.setattr(campaign_plan, "PART_RECORDS", size)
         found = brs.fit_campaign(records, SCAN, tmp_path / "out", nuisances=OWN, **OPTIONS).summary()
-        expected = brs.summary(brs.fit(records, SCAN, nuisances=OWN, **OPTIONS))
+        expected = brs.fit(records, SCAN, nuisances=OWN, **OPTIONS).summary()
         pd.testing.assert_frame_equal(found[expected.columns], expected, check_exact=True, check_dtype=False)
 
     def test_other_deviations_are_another_campaign(self, records, tmp_path):
@@ -57,9 +57,9 @@ class TestJobs:
         scan, flow = folder_scene.SCAN, folder_scene.FLOW
         wind = brs.mean_wind(records, scan, turbulence=flow)
         np.testing.assert_array_equal(records["yaw_sd"], wind["yaw_sd"])
-        noise = brs.load_noise(tmp_path / "noise.nc")
+        noise = brs.noise.load(tmp_path / "noise.nc")
         plain = {"noise": noise, "target_ess": 100, "seed": 3, "sampler": "auto", "nuisances": more["nuisances"]}
-        expected = brs.summary(brs.fit(wind, scan, **plain))
+        expected = brs.fit(wind, scan, **plain).summary()
         pd.testing.assert_frame_equal(one[expected.columns], expected, check_exact=True, check_dtype=False)
         assert any(
             line.startswith("uncertainty of the wind's direction: from the beams' means") and "records without" in line
@@ -72,7 +72,7 @@ class TestJobs:
         scan = brs.load_scan("2-beam")
         series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=1, seed=1)
         records = brs.make_records(series, scan)
-        brs.calibrate(scan, FLOW, wind_speed=10.0, cache=False).save(tmp_path / "noise.nc")
+        brs.noise.calibrate(scan, FLOW, wind_speed=10.0, cache=False).save(tmp_path / "noise.nc")
         table = run_sensitivity(
             records, scan, noise_file=tmp_path / "noise.nc", factors=[2.0], sampler="direct", nuisances=OWN
         )
@@ -106,7 +106,7 @@ class TestJobs:
         width = np.log(outcome.result["posterior/stress"].sel(component="uu")).std(("chain", "draw")).values
         # the same variances; eight times the eddies are an eighth as many in a record. sd of 1000 draws: 2.2 %
         assert width[1] > 1.2 * width[0]
-        made = brs.calibrate(scan, FLOW, wind_speed=10.0, cache=False)
+        made = brs.noise.calibrate(scan, FLOW, wind_speed=10.0, cache=False)
         made.save(tmp_path / "noise.nc")
         with pytest.raises(brs.InputError, match=r"Record 0 has a length_scale of its own, 20 m, .* only 61 m"):
             run_fit(records, scan, tmp_path / "again", noise_file=tmp_path / "noise.nc")
@@ -119,7 +119,7 @@ def inputs(tmp_path_factory):
     series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=2, seed=1)
     frame = series.to_dataframe().reset_index()[["time", "beam", "radial_velocity"]]
     frame.to_csv(folder / "day.csv", index=False)
-    brs.calibrate(scan, FLOW, wind_speed=10.0, cache=False).save(folder / "noise.nc")
+    brs.noise.calibrate(scan, FLOW, wind_speed=10.0, cache=False).save(folder / "noise.nc")
     return folder
 
 
@@ -136,16 +136,16 @@ class TestCommand:
         assert done.exit_code == 0, done.output
         assert "uncertainty of the wind's direction: from the beams' means" in done.output
         scan = brs.load_scan("2-beam")
-        records = brs.make_records(brs.read_radial_velocity(inputs / "day.csv", scan), scan)
+        records = brs.make_records(brs.read(inputs / "day.csv", scan), scan)
         wind = brs.mean_wind(records, scan, turbulence=FLOW)
         found = xr.load_dataset(tmp_path / "out" / "records.nc")
         np.testing.assert_array_equal(found["yaw_sd"], wind["yaw_sd"])
-        noise = brs.load_noise(inputs / "noise.nc")
+        noise = brs.noise.load(inputs / "noise.nc")
         options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 100, "nuisances": OWN}
-        expected = brs.summary(brs.fit(wind, scan, **options))
+        expected = brs.fit(wind, scan, **options).summary()
         table = pd.read_csv(tmp_path / "out" / "summary.csv")
         np.testing.assert_allclose(table["mean"], expected["mean"], rtol=1e-12)
-        plain = brs.summary(brs.fit(wind, scan, **{**options, "nuisances": None}))
+        plain = brs.fit(wind, scan, **{**options, "nuisances": None}).summary()
         assert not np.allclose(plain["mean"], expected["mean"], rtol=1e-6)
 
     @pytest.mark.parametrize(

@@ -7,17 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import (
-    chosen_scan,
-    mounting_options,
-    read_or_make_records,
-    reading_options,
-    record_options,
-    scan_options,
-)
+from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
+from bayes_rs.cli.records_of_files import records_and_scan
 
 if TYPE_CHECKING:
-    from bayes_rs.noise.model import Noise
+    from bayes_rs.noise.noise import Noise
+
+_MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_deg")}
 
 
 @click.command()
@@ -49,101 +45,96 @@ def scans() -> None:
     click.echo("The scans of instruments have a probe volume; behind a name, @probe=point takes it away.")
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@scan_options
-@reading_options
-@record_options
+@click.command(cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@settings_options("scan", "files", "records", "quality")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-def records(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:
     """Make records, one variance a beam and averaging period, from files of radial velocities."""
     from bayes_rs.output import output_file, write_netcdf
 
+    settings = settings_of(files, options)
     with output_file(output, overwrite=overwrite) as part:
-        made, _ = read_or_make_records(files, options)
+        made, _ = records_and_scan(settings)
         write_netcdf(made, part)
     click.echo(f"{made.sizes['record']} records in {output}")
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("scan")
-@mounting_options
-@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
-@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
-@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
-@click.option(
-    "--prior", default="weak", show_default=True, help="weak, flat, ratio or mann, as ratio:vv=0.6,sd_vv=0.3."
+@settings_options(
+    "scan",
+    "records",
+    "noise",
+    "fit",
+    only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence",), "fit": ("prior", "target_ess")},
 )
-@click.option("--ess", "target_ess", type=int, default=1000, show_default=True, help="Effective sample size to reach.")
-def plan(
-    scan: str, turbulence: str, wind_speed: float, duration: float, prior: str, target_ess: int, **scan_options: Any
-) -> None:
+@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+def plan(scan: str, wind_speed: float, **options: Any) -> None:
     """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
     from bayes_rs.design.planning import plan as make_plan
     from bayes_rs.turbulence.mann import load_turbulence
 
+    settings = settings_of((), {"scan": scan, **options})
     made = make_plan(
-        chosen_scan({"scan_name": scan, **scan_options}),
-        load_turbulence(turbulence),
+        settings.scan.load(),
+        load_turbulence(settings.noise.turbulence),
         wind_speed=wind_speed,
-        duration=duration,
-        prior=prior,
-        target_ess=target_ess,
+        duration=settings.records.duration,
+        prior=settings.fit.prior,
+        target_ess=settings.fit.target_ess,
     )
     for line in made.lines():
         click.echo(line)
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("scan")
-@mounting_options
-@click.option("--turbulence", default="fu-2022", show_default=True, help="A name in models/turbulence, or a TOML file.")
-@click.option(
-    "--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several make a bank."
+@settings_options(
+    "scan",
+    "records",
+    "noise",
+    only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence", "noise_method")},
 )
+@click.option("--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several states.")
 @click.option(
     "--noise-yaw",
     type=float,
     multiple=True,
-    help="Wind direction relative to the lidar axis, degrees; several make a bank.",
+    help="Wind direction relative to the lidar axis, degrees; several states.",
 )
-@click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s.")
-@click.option("--method", default="theory", show_default=True, help="theory or boxes.")
 @click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
 @click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
-@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the boxes.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def calibrate(
     scan: str,
-    turbulence: str,
     wind_speed: tuple[float, ...],
     noise_yaw: tuple[float, ...],
-    duration: float,
-    method: str,
     sonic: bool,
     n_boxes: int,
     seed: int,
     output: Path,
     overwrite: bool,
-    **scan_options: Any,
+    **options: Any,
 ) -> None:
     """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
-    from bayes_rs.calibration.calibrating import calibrate as run_calibration
+    from bayes_rs.noise.box_noise import Boxes
+    from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
-    from bayes_rs.turbulence.mann import load_turbulence
 
+    settings = settings_of((), {"scan": scan, **options})
+    method = settings.noise.noise_method
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
-            chosen_scan({"scan_name": scan, **scan_options}),
-            load_turbulence(turbulence),
-            wind_speed=list(wind_speed) if len(wind_speed) > 1 else wind_speed[0],
-            yaw_deg=(list(noise_yaw) if len(noise_yaw) > 1 else noise_yaw[0]) if noise_yaw else None,
-            duration=duration,
-            method=method,
-            n_boxes=n_boxes,
-            seed=seed,
+            settings.scan.load(),
+            settings.noise.turbulence,
+            wind_speed=list(wind_speed),
+            yaw_deg=list(noise_yaw) or None,
+            duration=settings.records.duration,
+            method=Boxes(n_boxes=n_boxes, seed=seed) if method == "boxes" else method,
             sonic=sonic,
         )
         noise.save(part)
@@ -153,10 +144,7 @@ def calibrate(
 
 
 def _noise_lines(noise: Noise) -> list[str]:
-
-    models = noise.models
     return [
-        f"wind {model.wind_speed:g} m/s: relative standard deviation of a beam variance "
-        f"{model.relative_error.min():.3f} to {model.relative_error.max():.3f}"
-        for model in models
+        f"wind {speed:g} m/s: relative standard deviation of a beam variance {error.min():.3f} to {error.max():.3f}"
+        for speed, error in zip(noise.wind_speed, noise.relative_error, strict=True)
     ]

@@ -11,12 +11,14 @@ import numpy as np
 import pandas as pd
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.fit_job import Outcome, run_fit
+from bayes_rs.cli.fit_commands import draw_pictures
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fitting import fit
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import demo_file, models_folder
 from bayes_rs.output import output_folder, write_run
-from bayes_rs.readers import read_radial_velocity
+from bayes_rs.readers.reading import read
 from bayes_rs.records.making import make_records
 
 WIND_SPEED = 10.0
@@ -66,25 +68,18 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     truth = json.loads((models_folder("demo") / "truth.json").read_text(encoding="utf-8"))
     stresses = np.array(truth["stresses_record"])
     with output_folder(output, overwrite=overwrite) as folder:
-        outcomes = {}
+        fits = {}
         for name, (preset, options) in SCENES.items():
             scan = load_scan(preset, **options)
-            series = read_radial_velocity(demo_file(name), scan)
-            records = make_records(series, scan)
-            outcome = run_fit(
-                records,
-                scan,
-                folder / name,
-                noise_file=models_folder("noise") / NOISE_FILES[name],
-                seed=seed,
-                source_files=[f"{name}.parquet"],
-            )
-            outcomes[name] = outcome
-            yield f"{TITLES[name]}: {outcome.n_fitted} of {outcome.n_record} records fitted"
-        _side_by_side(outcomes, stresses).savefig(folder / "corner-side-by-side.png", dpi=110)
-        table = width_table(outcomes)
+            records = make_records(read(demo_file(name), scan), scan)
+            noise = models_folder("noise") / NOISE_FILES[name]
+            fits[name] = fit(records, scan, seed=seed, noise=noise, output=folder / name)
+            draw_pictures(fits[name], folder / name)
+            yield f"{TITLES[name]}: {fits[name].n_fitted} of {fits[name].n_record} records fitted"
+        _side_by_side(fits, stresses).savefig(folder / "corner-side-by-side.png", dpi=110)
+        table = width_table(fits)
         table.to_csv(folder / "widths.csv", float_format="%.4f")
-        write_run(folder, {"demo": sorted(outcomes), "seed": seed})
+        write_run(folder, {"demo": sorted(fits), "seed": seed})
     yield ""
     yield "Width of the 90 % credible interval, m² s⁻², mean over the records"
     yield table.to_string(float_format=lambda value: f"{value:.2f}")
@@ -96,41 +91,42 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield f"Pictures and files: {output}"
 
 
-def width_table(outcomes: dict[str, Outcome]) -> pd.DataFrame:
+def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
     """Return mean widths of the credible intervals, a row for each lidar; the last row is the prior's own width.
 
     The prior's width is that of its shape at the size of the first lidar's posterior.
     """
     rows = {}
-    for name, outcome in outcomes.items():
-        width = (outcome.table["hdi_high"] - outcome.table["hdi_low"]).groupby(outcome.table["stress"]).mean()
+    for name, found in fits.items():
+        table = found.summary()
+        width = (table["hdi_high"] - table["hdi_low"]).groupby(table["stress"]).mean()
         rows[TITLES[name]] = width[list(STRESSES)]
-    first = next(iter(outcomes.values()))
+    first = next(iter(fits.values()))
     rows["the prior alone, at this size"] = pd.Series(_prior_width(first), index=list(STRESSES))
     return pd.DataFrame(rows).T
 
 
-def _prior_width(outcome: Outcome) -> FloatArray:
-    from bayes_rs.plot.plots import prior_at_size
+def _prior_width(found: Fit) -> FloatArray:
+    from bayes_rs.plot.corner_plot import prior_at_size
     from bayes_rs.posteriors.diagnostics import highest_density_interval
 
     widths = []
-    for record in range(outcome.n_record):
-        low, high = highest_density_interval(prior_at_size(outcome.result, record).T, 0.9)
+    for record in range(found.n_record):
+        low, high = highest_density_interval(prior_at_size(found, record).T, 0.9)
         widths.append(high - low)
     return np.asarray(np.mean(widths, axis=0))
 
 
-def _side_by_side(outcomes: dict[str, Outcome], truth: FloatArray) -> Any:
+def _side_by_side(fits: dict[str, Fit], truth: FloatArray) -> Any:
     from matplotlib.figure import Figure
 
-    from bayes_rs.plot.plots import corner_limits, plot_corner
+    from bayes_rs.plot.corner_plot import corner, corner_limits
 
     shown = ("6-beam-45", "50-beam")
-    results = [outcomes[name].result for name in shown]
+    results = [fits[name] for name in shown]
     limits = corner_limits(results, [_RECORD] * len(shown))
     figure = Figure(figsize=(20.0, 10.4))
     panels = np.atleast_1d(np.asarray(figure.subfigures(1, len(shown))))
     for panel, name, result in zip(panels, shown, results, strict=True):
-        plot_corner(result, _RECORD, truth=truth, limits=limits, title=TITLES[name], figure=panel)
+        corner(result, _RECORD, truth=truth, limits=limits, title=TITLES[name], figure=panel)
     return figure

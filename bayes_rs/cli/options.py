@@ -1,422 +1,272 @@
-"""Options that several commands share, and what is made of them."""
+"""Options of commands, made from the classes of options, and the settings that they give."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import types
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar, Union, get_args, get_origin
 
 import click
+from click.shell_completion import CompletionItem
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from bayes_rs.geometry.scan import Scan
-    from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, Settings
+from bayes_rs.options import Option, options_of
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
+_TITLES = {
+    "scan": "Scan",
+    "files": "Files of radial velocities",
+    "records": "Records",
+    "quality": "Quality",
+    "noise": "Noise",
+    "fit": "Fit",
+    "nuisances": "What is uncertain beside R",
+    "output": "Output",
+}
+_MOST_NAMED = 12
+"""Values that the help of an option names."""
+_MADE_OF_SERIES = ("files", "records", "quality")
+"""Sections that are of no use where the files hold records that were made before."""
 
 
-def _together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
-    """Return one decorator for several options, listed in the order of the help."""
+class GroupedCommand(click.Command):
+    """A command whose help lists its options by section."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, those of each section under its title."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                groups.setdefault(getattr(parameter, "group", "Options"), []).append(record)
+        for title in sorted(groups, key=lambda title: title == "Options"):
+            with formatter.section(title):
+                formatter.write_dl(groups[title])
+
+
+class SettingsOption(click.Option):
+    """An option of a command that is one of the settings."""
+
+    def __init__(self, *names: str, group: str, **attributes: Any) -> None:
+        """Take the title of its section, beside what any option takes."""
+        super().__init__(list(names), **attributes)
+        self.group = group
+
+
+class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
+    """A number of some unit, or one of a few words."""
+
+    name = "number"
+
+    def __init__(self, unit: str, words: Sequence[str]) -> None:
+        """Take the unit and the words, for the message."""
+        self.unit, self.words = unit, tuple(words)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Return the number, or the word."""
+        if value in self.words:
+            return str(value)
+        try:
+            return float(value)
+        except ValueError:
+            unit = f", {self.unit}" if self.unit else ""
+            self.fail(f"{value!r} must be a number{unit}, or the word {' or '.join(self.words)}.", param, ctx)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002 - click's
+        """Return what stands for the value in the help."""
+        return f"NUMBER|{'|'.join(self.words)}"
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - the arguments are click's
+        param: click.Parameter,  # noqa: ARG002 - as above
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Complete the words."""
+        return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
+
+
+class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
+    """A text that is often, but not always, one of a list."""
+
+    name = "text"
+
+    def __init__(self, choices: Callable[[], Sequence[str]]) -> None:
+        """Take what returns the list."""
+        self.choices = choices
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - the arguments are click's
+        param: click.Parameter,  # noqa: ARG002 - as above
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Complete the entries of the list."""
+        return [CompletionItem(word) for word in self.choices() if word.startswith(incomplete)]
+
+
+def settings_options(
+    *sections: str, only: Mapping[str, Sequence[str]] | None = None, without: Sequence[str] = ()
+) -> Callable[[_Command], _Command]:
+    """Return a decorator that gives a command the options of sections of the settings.
+
+    Parameters
+    ----------
+    *sections : str
+        Names of sections; ``fit`` brings those of the nuisances, too.
+    only : mapping of str to sequence of str, optional
+        Options that are taken of a section, by their names; by default all.
+    without : sequence of str
+        Names of options that are left out.
+    """
 
     def decorate(command: _Command) -> _Command:
-        for option in reversed(options):
-            command = option(command)
+        made: list[SettingsOption] = []
+        for section in sections:
+            wanted = None if only is None else only.get(section)
+            for entry in options_of(SECTIONS[section]):
+                if entry.name in without or (wanted is not None and entry.name not in wanted):
+                    continue
+                nested = options_of(entry.type) if isinstance(entry.type, type) and is_dataclass(entry.type) else []
+                if nested:
+                    made += [_option(one, _TITLES.get(entry.name, entry.name)) for one in nested if one.flag]
+                elif entry.flag:
+                    made.append(_option(entry, _TITLES[section]))
+        parameters = getattr(command, "__click_params__", [])
+        command.__click_params__ = [*parameters, *reversed(made)]  # type: ignore[attr-defined] # as click keeps them
         return command
 
     return decorate
 
 
-class NumberOrRecords(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
-    """A number of some unit, or the word records."""
+def class_options(*classes: tuple[type, str]) -> Callable[[_Command], _Command]:
+    """Return a decorator that gives a command the options of classes of options, each with the title of its group."""
 
-    name = "number or records"
+    def decorate(command: _Command) -> _Command:
+        made = [_option(entry, title) for cls, title in classes for entry in options_of(cls) if entry.flag]
+        parameters = getattr(command, "__click_params__", [])
+        command.__click_params__ = [*parameters, *reversed(made)]  # type: ignore[attr-defined] # as click keeps them
+        return command
 
-    def __init__(self, unit: str) -> None:
-        """Take the unit, for the message."""
-        self.unit = unit
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
-        """Return the number, or the word."""
-        if value == "records":
-            return "records"
-        try:
-            return float(value)
-        except ValueError:
-            self.fail(f"{value!r} must be a number, {self.unit}, or the word records.", param, ctx)
+    return decorate
 
 
-mounting_options = _together(
-    click.option("--opening-angle", "opening_angle_deg", type=float, help="Another half-cone opening angle, degrees."),
-    click.option("--focus-distance", type=float, multiple=True, help="Another focus distance, m; several for planes."),
-    click.option("--tilt", "tilt_deg", type=float, help="Another tilt, degrees; positive raises the beam."),
-    click.option("--yaw", "yaw_deg", type=float, help="Wind direction relative to the lidar axis, degrees."),
-)
-"""How the scan is mounted, if not as its file says."""
+def settings_of(files: Sequence[str], options: Mapping[str, Any]) -> Settings:
+    """Return the settings of a command: those of a settings file, if one is named, and over them the options given.
+
+    Parameters
+    ----------
+    files : sequence of str
+        The command's arguments: files, or one settings file (``.toml``) or `run.json`.
+    options : mapping
+        Values of the command's options by name; None and empty where they were not given.
+
+    Raises
+    ------
+    InputError
+        If the settings file, or an option, is not valid.
+    """
+    given = {name: value for name, value in options.items() if value is not None and value != ()}
+    if len(files) == 1 and Path(files[0]).suffix in (".toml", RUN_SUFFIX):
+        settings = Settings.load(files[0])
+        if "scan" in given:
+            given["scan_toml"] = None
+    else:
+        settings = Settings().changed(files=tuple(files))
+    return settings.changed(**given)
 
 
-scan_options = _together(
-    click.option(
-        "--scan",
-        "scan_name",
-        required=True,
-        help="A name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.",
-    ),
-    mounting_options,
-)
-"""Which scan it is, and how it is mounted."""
-
-
-reading_options = _together(
-    click.option(
-        "--format",
-        "file_format",
-        default="auto",
-        show_default=True,
-        help="auto, long, wide, netcdf, windcube, e-windlidar, halo, spinnerlidar or zx.",
-    ),
-    click.option(
-        "--column",
-        "columns",
-        multiple=True,
-        metavar="OURS=THEIRS",
-        help="Name of a column, as radial_velocity=RWS.",
-    ),
-    click.option(
-        "--beam-number",
-        "beam_numbers",
-        multiple=True,
-        metavar="THEIRS=OURS",
-        help="Number of a beam, as LOS2=2.",
-    ),
-    click.option(
-        "--positive", type=click.Choice(["away", "towards"]), help="Sign of the radial velocity in the files."
-    ),
-    click.option("--velocity-unit", type=click.Choice(["m/s", "km/h", "knot"]), help="Unit of the radial velocity."),
-    click.option("--invalid", type=float, multiple=True, help="A number that stands for a missing value."),
-    click.option("--time-zone", help="Zone of times without one, as UTC or +01:00."),
-    click.option("--separator", help="Between the columns of a CSV file."),
-    click.option("--decimal", help="Decimal mark of a CSV file."),
-    click.option("--status-valid", type=float, help="Status of a good sample."),
-    click.option(
-        "--time-stamp",
-        type=click.Choice(["start", "middle", "end"]),
-        help="What a time in the files stands for: start, middle or end of a sample.",
-    ),
-    click.option("--time-format", help="Format of times in the files that are not ISO 8601, as %d.%m.%Y %H:%M:%S."),
-    click.option("--sample-duration", type=float, help="Length of a sample, s, for --time-stamp."),
-    click.option("--angle-tolerance", "angle_tolerance_deg", type=float, help="Of a ray from its beam, degrees."),
-    click.option(
-        "--phase-zero",
-        "phase_zero_deg",
-        type=float,
-        help="Where on its cone a ZX's phase is zero, degrees: 0 sideways (y), 90 up.",
-    ),
-    click.option("--phase-turns", type=click.Choice(["up", "down"]), help="Which way it turns from there."),
-    click.option("--range-tolerance", type=float, help="Of a gate from a beam's focus distance, m."),
-    click.option(
-        "--on-bad-file",
-        type=click.Choice(["error", "skip"]),
-        default="error",
-        show_default=True,
-        help="What to do with a file that cannot be used.",
-    ),
-    click.option(
-        "--out-of-order",
-        type=click.Choice(["error", "sort"]),
-        default="error",
-        show_default=True,
-        help="What to do when time goes backwards.",
-    ),
-)
-"""How the files are written, as for `bayes_rs.read_radial_velocity`."""
-
-
-_READ_AS_THEY_ARE = (
-    "file_format",
-    "positive",
-    "velocity_unit",
-    "time_zone",
-    "time_format",
-    "time_stamp",
-    "sample_duration",
-    "separator",
-    "decimal",
-    "status_valid",
-    "angle_tolerance_deg",
-    "range_tolerance",
-    "phase_zero_deg",
-    "phase_turns",
-    "on_bad_file",
-    "out_of_order",
-)
-"""Options of reading that `bayes_rs.read_radial_velocity` takes as they are, under the same name."""
-_READING = (*_READ_AS_THEY_ARE, "columns", "beam_numbers", "invalid")
-"""Options of reading."""
-_RULES = (
-    "cnr_range",
-    "velocity_range",
-    "hard_target_cnr",
-    "frozen_run",
-    "blade_threshold",
-    "blade_frequency",
-    "despike",
-    "trend_level",
-    "sub_variance_limit",
-    "half_ratio_limit",
-    "min_wind_speed",
-    "exclude",
-)
-"""Options of records that `bayes_rs.QualityRules` takes under the same name."""
-
-_MAKING = ("duration", "min_availability", "motion", "motion_columns", *_RULES)
-"""Options of records."""
-
-record_options = _together(
-    click.option("--duration", type=float, default=600.0, show_default=True, help="Averaging period, s."),
-    click.option(
-        "--min-availability",
-        type=float,
-        default=0.8,
-        show_default=True,
-        help="Least share of the expected samples of a beam.",
-    ),
-    click.option("--cnr-range", type=(float, float), help="Lowest and highest carrier-to-noise ratio, dB."),
-    click.option("--velocity-range", type=(float, float), help="Lowest and highest radial velocity, m/s."),
-    click.option("--hard-target-cnr", type=float, help="Drop samples that hardly move from this CNR on, dB."),
-    click.option("--frozen-run", type=int, help="Drop runs of so many equal values."),
-    click.option("--blade-threshold", type=float, help="Drop samples so many robust deviations towards zero."),
-    click.option("--blade-frequency", type=(float, float), help="Where to look for the blades' frequency, Hz."),
-    click.option("--despike", type=click.Choice(["median"]), help="Rule that drops spikes."),
-    click.option("--trend-level", type=float, help="Level of the test for a trend, as 0.01; remarks on records."),
-    click.option("--sub-variance-limit", type=float, help="Share of the variance between parts that is remarked on."),
-    click.option("--half-ratio-limit", type=float, help="Ratio of the halves' variances that is remarked on."),
-    click.option("--min-wind-speed", type=float, help="Mean wind speed below which a record is remarked on, m/s."),
-    click.option(
-        "--motion",
-        type=click.Path(path_type=Path),
-        multiple=True,
-        help="File with the lidar's own tilt and roll over time, for each record's own attitude; several.",
-    ),
-    click.option(
-        "--motion-column",
-        "motion_columns",
-        multiple=True,
-        metavar="OURS=THEIRS",
-        help="Its columns, as time=Timestamp or tilt_deg=Tilt.",
-    ),
-    click.option(
-        "--exclude",
-        multiple=True,
-        type=click.Choice(["not_stationary", "low_wind"]),
-        help="A remark that takes a record out of the fit; repeatable.",
-    ),
-)
-"""How records are made, as for `bayes_rs.make_records`."""
-
-
-instrument_noise_option = click.option(
-    "--instrument-noise",
-    type=NumberOrRecords("m² s⁻²"),
-    default=0.0,
-    show_default=True,
-    help="Variance that the instrument adds, m² s⁻²; or records, for what each record holds for each beam, as those "
-    "that bayes-rs spectra writes.",
-)
-"""What the instrument adds to the variances, as in `bayes_rs.fit`."""
-
-
-nuisance_options = _together(
-    click.option(
-        "--yaw-sd",
-        type=NumberOrRecords("degrees"),
-        default=0.0,
-        help="Uncertainty of the wind direction, degrees (standard deviation); or records, for each record's own: as "
-        "it holds it, else as its beams' means give it.",
-    ),
-    click.option(
-        "--yaw-sd-missing",
-        type=float,
-        help="With --yaw-sd records, that of records which have none, degrees; by default they are refused.",
-    ),
-    click.option("--tilt-sd", type=float, default=0.0, help="Uncertainty of the lidar's tilt, degrees."),
-    click.option(
-        "--instrument-noise-sd",
-        type=float,
-        default=0.0,
-        help="Uncertainty of --instrument-noise: standard deviation of its logarithm.",
-    ),
-    click.option(
-        "--length-scale-sd",
-        type=float,
-        default=0.0,
-        help="Uncertainty of the turbulence's length scale: standard deviation of its logarithm.",
-    ),
-    click.option(
-        "--length-scale",
-        type=float,
-        help="Median length scale, m, with --length-scale-sd; by default the records' own, or that of --turbulence.",
-    ),
-    click.option(
-        "--vertical-gradient-sd",
-        type=float,
-        default=0.0,
-        help="Vertical change of the stresses: standard deviation of the change of their logarithm over 100 m.",
-    ),
-    click.option(
-        "--lateral-gradient-sd", type=float, default=0.0, help="The same for a lateral change of the stresses."
-    ),
-    click.option(
-        "--inflation", type=float, default=1.0, help="Factor of the noise's covariance, for less Gaussian flow."
-    ),
-    click.option(
-        "--inflation-dof",
-        type=float,
-        default=float("inf"),
-        help="Degrees of freedom of an uncertain factor; by default it is certain.",
-    ),
-)
-"""What is uncertain beside R, as in `bayes_rs.Nuisances`."""
-
-
-def chosen_scan(options: dict[str, Any]) -> Scan:
-    """Load the scan that the options name, mounted as they say."""
-    from bayes_rs.geometry.scan_file import load_scan
-
-    distances = options["focus_distance"]
-    return load_scan(
-        options["scan_name"],
-        opening_angle_deg=options["opening_angle_deg"],
-        focus_distance=list(distances) if distances else None,
-        tilt_deg=options["tilt_deg"],
-        yaw_deg=options["yaw_deg"],
-    )
-
-
-def chosen_nuisances(records: xr.Dataset | None, options: dict[str, Any]) -> Nuisances:
-    """Return what the options say is uncertain beside R."""
-    from bayes_rs.posteriors.nuisance import Nuisances
-    from bayes_rs.turbulence.mann import load_turbulence
-
-    length_scale = options["length_scale"]
-    if length_scale is not None and not options["length_scale_sd"] > 0.0:
-        raise click.UsageError(
-            "--length-scale is only used with --length-scale-sd: give both, or another --turbulence."
-        )
-    made_here = options["noise_file"] is None and (records is None or "length_scale" not in records)
-    if options["length_scale_sd"] > 0.0 and length_scale is None and made_here:
-        length_scale = load_turbulence(options["turbulence"]).length_scale
-    return Nuisances(
-        yaw_sd_deg=options["yaw_sd"],
-        yaw_sd_missing_deg=options["yaw_sd_missing"],
-        tilt_sd_deg=options["tilt_sd"],
-        instrument_noise_log_sd=options["instrument_noise_sd"],
-        length_scale_log_sd=options["length_scale_sd"],
-        length_scale=length_scale,
-        vertical_gradient_sd=options["vertical_gradient_sd"],
-        lateral_gradient_sd=options["lateral_gradient_sd"],
-        inflation=options["inflation"],
-        inflation_dof=options["inflation_dof"],
-    )
-
-
-def read_or_make_records(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[xr.Dataset, Scan]:
-    """Read files and make records, or read records; say on stderr what was read and dropped."""
-    scan = chosen_scan(options)
-    if (made := given_records(files, scan)) is not None:
-        return made, scan
-    return records_of(read_series(files, scan, options), scan, options), scan
-
-
-def given_records(files: tuple[Path, ...], scan: Scan) -> xr.Dataset | None:
-    """Read records that were written before; None if the files are something else.
+def refuse_without_effect(files: Sequence[str]) -> None:
+    """Refuse options of reading, or of making records, for records that were made before: they would do nothing.
 
     Raises
     ------
     UsageError
-        If the command line has options of reading, or of making records: they would have no effect.
+        If there is one on the command line.
     """
-    from bayes_rs.records.record_files import open_record_files
-
-    made = open_record_files(files, scan)
     context = click.get_current_context()
-    without_effect = [
+    without = [
         parameter.opts[0]
         for parameter in context.command.params
-        if parameter.name in (*_READING, *_MAKING)
-        and context.get_parameter_source(parameter.name) is click.core.ParameterSource.COMMANDLINE
+        if getattr(parameter, "group", "") in {_TITLES[name] for name in _MADE_OF_SERIES}
+        and parameter.name not in ("motion", "motion_columns")
+        and context.get_parameter_source(str(parameter.name)) is click.core.ParameterSource.COMMANDLINE
     ]
-    if made is not None and without_effect:
+    if without:
         raise click.UsageError(
-            f"{', '.join(without_effect)}: for radial velocities only, and {str(files[0])!r} holds records that were "
-            "made before: leave it out, or give the files of radial velocities."
+            f"{', '.join(without)}: for radial velocities only, and {files[0]!r} holds records that were made before: "
+            "leave it out, or give the files of radial velocities."
         )
-    return made
 
 
-def read_series(files: tuple[Path, ...], scan: Scan, options: dict[str, Any]) -> xr.Dataset:
-    """Read radial velocities as the reading options say."""
-    from bayes_rs.readers import read_radial_velocity
-
-    return read_radial_velocity(list(files), scan, **reading_choices(options))
-
-
-def reading_choices(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the reading options by the names of `bayes_rs.read_radial_velocity`."""
-    numbers = _pairs(options["beam_numbers"], "--beam-number")
-    return {
-        **{name: options[name] for name in _READ_AS_THEY_ARE},
-        "columns": _pairs(options["columns"], "--column") or None,
-        "beam_numbers": {theirs: _whole(ours) for theirs, ours in numbers.items()} or None,
-        "invalid": list(options["invalid"]) or None,
-    }
-
-
-def records_of(series: xr.Dataset, scan: Scan, options: dict[str, Any]) -> xr.Dataset:
-    """Make records as the options say, and say on stderr what was read and dropped."""
-    from bayes_rs.records.making import describe_report, make_records
-
-    if options["motion_columns"] and not options["motion"]:
-        raise click.UsageError("--motion-column is only used with --motion: give the file, or leave it out.")
-    made = make_records(series, scan, **record_choices(options))
-    for line in describe_report(made):
-        click.echo(line, err=True)
-    if options["motion"]:
-        from bayes_rs.wind.motion import read_motion, with_motion
-
-        written = {name: options[name] for name in ("time_zone", "time_format", "separator", "decimal")}
-        motion = read_motion(
-            list(options["motion"]),
-            columns=_pairs(options["motion_columns"], "--motion-column"),
-            **{name: value for name, value in written.items() if value is not None},
-            invalid=options["invalid"] or scan.file_format.get("invalid", ()),
-        )
-        made = with_motion(made, motion, scan)
-        without = int((made["motion_count"] == 0).sum())
-        click.echo(f"tilt and roll from {len(options['motion'])} files; {without} records without", err=True)
-    return made
+def _option(entry: Option, group: str) -> SettingsOption:
+    """Return the command line's option of one of the settings."""
+    kinds = _kinds(entry.type)
+    names = [entry.name, entry.flag, *(["-o"] if entry.name == "output" else [])]
+    attributes: dict[str, Any] = {"default": None, "help": _help(entry), "group": group}
+    if entry.about.metavar:
+        attributes["metavar"] = entry.about.metavar
+    container = next((kind for kind in kinds if get_origin(kind) in (tuple, Mapping, Sequence)), None)
+    if bool in kinds:
+        return SettingsOption(*names, is_flag=True, **attributes)
+    if container is not None and get_origin(container) is tuple:
+        attributes.setdefault("metavar", "LOW HIGH")
+        return SettingsOption(*names, type=get_args(container), nargs=2, **attributes)
+    if container is not None and get_origin(container) is Mapping:
+        value = get_args(container)[1]
+        return SettingsOption(*names, multiple=True, callback=_pairs(entry, value), **attributes)
+    if container is not None:
+        return SettingsOption(*names, multiple=True, type=_type(entry, list(get_args(container))), **attributes)
+    return SettingsOption(*names, type=_type(entry, kinds), **attributes)
 
 
-def record_choices(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of records by the names of `bayes_rs.make_records`."""
-    from bayes_rs.quality import QualityRules
-
-    rules = QualityRules(**{name: options[name] for name in _RULES})
-    return {"duration": options["duration"], "min_availability": options["min_availability"], "quality": rules}
+def _kinds(annotation: Any) -> list[Any]:
+    """Return the types that a value may have, None left out."""
+    union = get_origin(annotation) in (Union, types.UnionType)
+    return [kind for kind in (get_args(annotation) if union else (annotation,)) if kind is not type(None)]
 
 
-def _pairs(texts: tuple[str, ...], option: str) -> dict[str, str]:
-    for text in texts:
-        if "=" not in text:
-            raise click.UsageError(f"{option} {text!r}: write it as NAME=NAME.")
-    return dict(text.split("=", 1) for text in texts)
+def _type(entry: Option, kinds: list[Any]) -> Any:
+    plain: list[Any] = [part for kind in kinds for part in _kinds(kind)]
+    if float in plain and str in plain:
+        return NumberOrWord(entry.about.unit, entry.choices)
+    if float in plain:
+        return click.FLOAT
+    if int in plain:
+        return click.INT
+    if not entry.about.choices:
+        return click.STRING
+    return OpenChoice(lambda: entry.choices) if entry.about.open else click.Choice(entry.choices)
 
 
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError as error:
-        raise click.UsageError(
-            f"--beam-number: {text!r} must be a whole number, the beam's number in the scan."
-        ) from error
+def _help(entry: Option) -> str:
+    about = entry.about
+    unit = f", {about.unit}" if about.unit else ""
+    named = f": {', '.join(entry.choices)}" if about.open and len(entry.choices) <= _MOST_NAMED else ""
+    default = entry.default
+    shown = "" if default is None or default is False or default in ((), {}) else f"  [default: {_shown(default)}]"
+    return f"{about.help.rstrip('.')}{named}{unit}.{shown}"
+
+
+def _shown(default: Any) -> str:
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _pairs(entry: Option, value: type) -> Callable[[click.Context, click.Parameter, tuple[str, ...]], Any]:
+    """Return what makes a mapping of texts NAME=VALUE; None where none was given."""
+
+    def make(_context: click.Context, _parameter: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any] | None:
+        found: dict[str, Any] = {}
+        for text in texts:
+            name, equals, what = text.partition("=")
+            if not equals:
+                raise click.UsageError(f"{entry.flag} {text!r}: write it as {entry.about.metavar or 'NAME=VALUE'}.")
+            try:
+                found[name] = value(what)
+            except ValueError:
+                raise click.UsageError(f"{entry.flag} {text!r}: {what!r} must be a whole number.") from None
+        return found or None
+
+    return make

@@ -7,20 +7,13 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import chosen_scan, read_series, reading_options, record_options, records_of, scan_options
+from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
+from bayes_rs.cli.records_of_files import records_of, series_of
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@scan_options
-@reading_options
-@record_options
-@click.option(
-    "--turbulence",
-    default="fu-2022",
-    show_default=True,
-    help="Turbulence whose anisotropy the spectra are fitted with.",
-)
+@click.command(cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
 @click.option(
     "--length-scale-prior",
     type=(float, float),
@@ -45,28 +38,39 @@ from bayes_rs.cli.options import chosen_scan, read_series, reading_options, reco
 )
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
-def spectra(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+def spectra(
+    files: tuple[str, ...],
+    output: Path,
+    overwrite: bool,
+    length_scale_prior: tuple[float, float],
+    instrument_noise: float,
+    floor_sd: float | None,
+    tapers: int,
+    one_length_scale: bool,
+    **options: Any,
+) -> None:
     """Make spectra of radial velocities; find length scale, dissipation and instrument noise of every record."""
     from bayes_rs.output import check_output_folder
     from bayes_rs.spectra.spectra_job import run_spectra
 
-    check_output_folder(output, overwrite=overwrite)
-    scan = chosen_scan(options)
-    series = read_series(files, scan, options)
-    made = records_of(series, scan, options)
+    settings = settings_of(files, options)
+    check_output_folder(output, overwrite=overwrite, inputs=settings.files.files)
+    scan = settings.scan.load()
+    series = series_of(settings, scan)
+    made = records_of(series, scan, settings)
     run_spectra(
         series,
         made,
         scan,
         output,
-        turbulence=options["turbulence"],
-        length_scale_prior=options["length_scale_prior"],
-        instrument_noise=options["instrument_noise"],
-        instrument_noise_sd=options["floor_sd"],
-        tapers=options["tapers"],
-        one_length_scale=options["one_length_scale"],
+        turbulence=settings.noise.turbulence,
+        length_scale_prior=length_scale_prior,
+        instrument_noise=instrument_noise,
+        instrument_noise_sd=floor_sd,
+        tapers=tapers,
+        one_length_scale=one_length_scale,
         overwrite=overwrite,
-        source_files=[file.name for file in files],
+        source_files=[Path(file).name for file in settings.files.files],
         say=click.echo,
     )
     click.echo(f"results in {output}")

@@ -7,17 +7,13 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import read_or_make_records, reading_options, record_options, scan_options
+from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
+from bayes_rs.cli.records_of_files import records_and_scan
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@scan_options
-@reading_options
-@record_options
-@click.option(
-    "--turbulence", default="fu-2022", show_default=True, help="Turbulence that makes the beams' means uncertain."
-)
+@click.command(cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
 @click.option("--heading", "heading_deg", type=float, help="Where the lidar looks, degrees clockwise from north.")
 @click.option("--hub-height", type=float, help="Height of the lidar above the ground, m; with it a profile is fitted.")
 @click.option(
@@ -29,7 +25,15 @@ from bayes_rs.cli.options import read_or_make_records, reading_options, record_o
 )
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="CSV file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any) -> None:
+def wind(
+    files: tuple[str, ...],
+    output: Path,
+    overwrite: bool,
+    heading_deg: float | None,
+    hub_height: float | None,
+    law: str,
+    **options: Any,
+) -> None:
     """Mean wind speed, direction and shear of every record, each with its standard deviation.
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
@@ -39,16 +43,17 @@ def wind(files: tuple[Path, ...], output: Path, overwrite: bool, **options: Any)
     from bayes_rs.wind.mean_vector import mean_wind
     from bayes_rs.wind.profile import wind_profile
 
+    settings = settings_of(files, options)
     with output_file(output, overwrite=overwrite) as part:
-        made, scan = read_or_make_records(files, options)
-        flow = load_turbulence(options["turbulence"])
-        found = mean_wind(made, scan, turbulence=flow, heading_deg=options["heading_deg"])
+        made, scan = records_and_scan(settings)
+        flow = load_turbulence(settings.noise.turbulence)
+        found = mean_wind(made, scan, turbulence=flow, heading_deg=heading_deg)
         names = ["wind_speed", "wind_speed_sd", "yaw", "yaw_sd", *(["wind_direction"] * ("wind_direction" in found))]
         table = found[names].to_dataframe()[names]
         if "time" in found.coords:
             table.insert(0, "time", found["time"].values)
-        if options["hub_height"] is not None:
-            profile = wind_profile(made, scan, turbulence=flow, hub_height=options["hub_height"], law=options["law"])
+        if hub_height is not None:
+            profile = wind_profile(made, scan, turbulence=flow, hub_height=hub_height, law=law)
             for name in profile.data_vars:
                 if profile[name].dims == ("record",):
                     table[f"profile_{name}"] = profile[name].values

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from bayes_rs.calibration.store import find_shipped_noise
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel
+from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,13 @@ class Plan:
         The scene in one line.
     steps : tuple of Step
         In the order in which the fit takes them.
-    noise : NoiseModel
+    noise : Noise
         The noise of the scene, which the plan had to compute to know its bounds.
     """
 
     title: str
     steps: tuple[Step, ...]
-    noise: NoiseModel
+    noise: Noise
 
     def lines(self) -> list[str]:
         """Return the plan as lines to print."""
@@ -66,8 +68,8 @@ class Plan:
 
 
 def plan(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path = "fu-2022",
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -78,10 +80,10 @@ def plan(
 
     Parameters
     ----------
-    scan : Scan
-        The scan.
-    turbulence : MannTurbulence
-        The turbulence of the noise.
+    scan : Scan, str or Path
+        The scan, or its name or file.
+    turbulence : MannTurbulence, str or Path
+        The turbulence of the noise, or its name or file.
     wind_speed : float
         Mean wind speed, m/s.
     duration : float
@@ -103,12 +105,11 @@ def plan(
 
     Examples
     --------
-    >>> from bayes_rs import load_scan, load_turbulence
-    >>> made = plan(load_scan("50-beam"), load_turbulence("fu-2022"), wind_speed=10.0)
+    >>> made = plan("50-beam", wind_speed=10.0)
     >>> made.steps[4].decision
     '50 variances a record are reduced to 5 numbers'
     """
-    chosen = make_prior(prior)
+    chosen, scan, turbulence = make_prior(prior), as_scan(scan), as_turbulence(turbulence)
     noise = theory_noise(scan, turbulence, wind_speed=wind_speed, duration=duration)
     seen = sight(scan)
     title = (
@@ -123,7 +124,7 @@ def plan(
     )
 
 
-def _noise_steps(noise: NoiseModel) -> list[Step]:
+def _noise_steps(noise: Noise) -> list[Step]:
     pairs, unique = noise.details["n_pairs"], noise.details["n_unique_pairs"]
     skipped = f"; {pairs - unique} repeat another pair's separation and directions" if pairs > unique else ""
     if "probe" not in noise.details:
@@ -139,7 +140,7 @@ def _noise_steps(noise: NoiseModel) -> list[Step]:
         probe = Step(
             "probe volume",
             "integrated along every beam",
-            probe_words(noise, [noise.wind_speed], [noise.yaw]).removeprefix("probe volume: "),
+            probe_words(noise, noise.wind_speed, noise.yaw).removeprefix("probe volume: "),
             f"{noise.details['probe_error']:.1g} of the largest entry of K",
         )
     return [
@@ -164,10 +165,10 @@ def _noise_steps(noise: NoiseModel) -> list[Step]:
 def _bank(shipped: Noise | None) -> Step:
     """Say where the noise of records at other wind speeds and directions comes from."""
     what = "noise of records at other wind speeds and directions"
-    if isinstance(shipped, NoiseBank) and shipped.interpolation_error is not None:
+    if shipped is not None and shipped.interpolation_error is not None:
         return Step(
             what,
-            f"interpolated between {len(shipped.models)} shipped states",
+            f"interpolated between {len(shipped)} shipped states",
             "the noise is smooth in the wind speed and the direction",
             f"{100.0 * shipped.interpolation_error:.1f} % of K, measured between the states",
         )
@@ -179,7 +180,7 @@ def _bank(shipped: Noise | None) -> Step:
     )
 
 
-def _data_steps(scan: Scan, noise: NoiseModel, rank: int) -> list[Step]:
+def _data_steps(scan: Scan, noise: Noise, rank: int) -> list[Step]:
     if scan.n_beam > rank:
         reduction = Step(
             "data",

@@ -16,11 +16,11 @@ from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.options import described, option
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 """How often each stress stands among the nine elements of the tensor."""
@@ -46,19 +46,19 @@ class CriterionOptions:
         "under equal and independent noise, for which nothing of the following matters",
         choices="bayes_rs.design.scan_criteria:CRITERIA",
     )
-    stresses: tuple[str, ...] = option(
+    stresses: Sequence[str] = option(
         (),
         "Stresses whose widths count, all if not given; with a weight as vv=3",
         flag="--stress",
         metavar="STRESS[=WEIGHT]",
     )
-    turbulence: str | MannTurbulence | tuple[str | MannTurbulence, ...] = option(
+    turbulence: str | MannTurbulence | Sequence[str | MannTurbulence] = option(
         "fu-2022", "Turbulence of the flow, by its name or file; of several, the worst case counts"
     )
-    prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS")
+    prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS", open=True)
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")
     duration: float = option(600.0, "Length of a record", unit="s")
-    yaw_deg: float | tuple[float, ...] | None = option(
+    yaw_deg: float | Sequence[float] | None = option(
         None,
         "Wind direction relative to the lidar's axis, that of the scan if not given; of several, the worst case counts",
         unit="degrees",
@@ -108,7 +108,7 @@ class CriterionOptions:
         given = [self.turbulence] if isinstance(self.turbulence, (str, MannTurbulence)) else list(self.turbulence)
         if not given:
             raise InputError("Invalid turbulence []: give one, or several for the worst case over them.")
-        return [flow if isinstance(flow, MannTurbulence) else load_turbulence(flow) for flow in given]
+        return [as_turbulence(flow) for flow in given]
 
     def make(self) -> ScanCriterion:
         """Return the criterion."""
@@ -278,7 +278,7 @@ class WidthCriterion(ScanCriterion):
             f"{', '.join(chosen)}"
         )
 
-    def _noise(self, scan: Scan, flow: MannTurbulence) -> NoiseModel:
+    def _noise(self, scan: Scan, flow: MannTurbulence) -> Noise:
         return theory_noise(scan, flow, wind_speed=self.wind_speed, duration=self.duration)
 
 
@@ -286,11 +286,11 @@ CRITERIA: dict[str, type[WidthCriterion] | type[TraceCriterion]] = {"width": Wid
 """The criteria by name; each is made of `CriterionOptions`."""
 
 
-def _posterior(noise: NoiseModel, stress: FloatArray, before: FloatArray) -> FloatArray:
+def _posterior(noise: Noise, stress: FloatArray, before: FloatArray) -> FloatArray:
     """Return C, shape (6, 6), m⁴ s⁻⁴; see `WidthCriterion`."""
-    slope = noise.gain / (noise.gain @ stress)[:, np.newaxis]
+    slope = noise.gain[0] / (noise.gain[0] @ stress)[:, np.newaxis]
     seen = slope @ before
-    data = seen @ slope.T + np.log1p(noise.covariance)
+    data = seen @ slope.T + np.log1p(noise.covariance[0])
     return np.asarray(before - seen.T @ np.linalg.solve(data, seen))
 
 

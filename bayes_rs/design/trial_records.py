@@ -11,7 +11,7 @@ from bayes_rs._validation import FloatArray, as_generator
 from bayes_rs.geometry.forward import RANK_TOLERANCE
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 from bayes_rs.records.making import make_records
 from bayes_rs.simulation.virtual import simulate
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -26,12 +26,12 @@ def even_normals(count: int, n_dimension: int, seed: int) -> FloatArray:
     return np.asarray(ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
 
 
-def explained_errors(noise: NoiseModel, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
+def explained_errors(noise: Noise, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the errors of log-variances, as the noise has them, and which of their directions some R explains.
 
     Parameters
     ----------
-    noise : NoiseModel
+    noise : Noise
         Noise of the record, with the relative covariance K.
     truth : ndarray, shape (6,)
         The stresses.
@@ -44,25 +44,23 @@ def explained_errors(noise: NoiseModel, truth: FloatArray) -> tuple[FloatArray, 
         U Vᵀ of the singular value decomposition Σ^(-1/2) S = U s Vᵀ, where S = ∂ ln E[y]/∂R at the truth. Its columns
         span the z that some R explains, and it changes as smoothly as the scan does.
     """
-    values, vectors = np.linalg.eigh(np.log1p(noise.covariance))
+    values, vectors = np.linalg.eigh(np.log1p(noise.covariance[0]))
     size = np.sqrt(np.maximum(values, _SMALLEST * values[-1]))
     whitened = (vectors / size) @ vectors.T
-    slope = noise.gain / (noise.gain @ truth)[:, np.newaxis]
+    slope = noise.gain[0] / (noise.gain[0] @ truth)[:, np.newaxis]
     left, seen, right = np.linalg.svd(whitened @ slope, full_matrices=False)
     kept = seen > RANK_TOLERANCE * seen[0]
     return (vectors * size) @ vectors.T, left[:, kept] @ right[kept]
 
 
-def drawn_records(
-    scan: Scan, noise: NoiseModel, mean: FloatArray, truth: FloatArray, count: int, seed: int
-) -> xr.Dataset:
+def drawn_records(scan: Scan, noise: Noise, mean: FloatArray, truth: FloatArray, count: int, seed: int) -> xr.Dataset:
     """Return records whose variances are log-normal with the noise's moments, drawn evenly.
 
     Parameters
     ----------
     scan : Scan
         The scan.
-    noise : NoiseModel
+    noise : Noise
         Its noise.
     mean : ndarray, shape (n_beam,)
         Expected variances, m² s⁻².
@@ -92,7 +90,7 @@ def drawn_records(
         # another order of the points: without it they would go up and down with those of the explained errors
         other = np.random.default_rng([seed, 1]).permutation(even_normals(count, scan.n_beam, seed))
         white += other - (other @ inside) @ inside.T
-    variance = mean * np.exp(white @ root - 0.5 * np.log1p(np.diag(noise.covariance)))
+    variance = mean * np.exp(white @ root - 0.5 * np.log1p(np.diag(noise.covariance[0])))
     return trial_records(scan, noise, variance)
 
 
@@ -107,15 +105,15 @@ def simulated_records(
     return records
 
 
-def trial_records(scan: Scan, noise: NoiseModel, variance: FloatArray) -> xr.Dataset:
+def trial_records(scan: Scan, noise: Noise, variance: FloatArray) -> xr.Dataset:
     """Return records of these variances, shape (n_record, n_beam), in the wind that the noise is for."""
     count = len(variance)
     return xr.Dataset(
         {
             "variance": (("record", "beam"), variance),
             "flag": (("record", "beam"), np.zeros(variance.shape, dtype=np.int64)),
-            "wind_speed": ("record", np.full(count, noise.wind_speed)),
-            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw))),
+            "wind_speed": ("record", np.full(count, noise.wind_speed[0])),
+            "yaw": ("record", np.full(count, np.rad2deg(noise.yaw[0]))),
         },
         coords={"beam": scan.beam},
         attrs={"duration": noise.duration, "scan": scan.name, "scan_key": scan.key},

@@ -4,58 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
-from bayes_rs.noise.model import Noise, NoiseBank, NoiseModel, RecordNoise, SonicNoise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
 from bayes_rs.posteriors.sampling.chains import BLOCK, Chains
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.posteriors.sonic import ESS_MARGIN, draw_sonic
-from bayes_rs.priors.registry import Prior
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitOptions:
-    """What is the same for all records of a fit.
-
-    Parameters
-    ----------
-    prior : Prior
-        The prior of R.
-    target : str
-        Which R.
-    sampler, likelihood : str
-        Their names.
-    nuisances : Nuisances
-        What is uncertain beside R.
-    instrument_noise : float
-        Variance that the instrument adds to each radial variance, m² s⁻²; see `Batch` for that of the records.
-    target_ess, max_extension : int
-        Effective sample size to reach, and how often a chain may be doubled for it.
-    seed : int
-        Seed of the fit.
-    """
-
-    prior: Prior
-    target: str
-    sampler: str
-    likelihood: str
-    nuisances: Nuisances
-    instrument_noise: float
-    target_ess: int
-    max_extension: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -120,12 +87,12 @@ class Batch:
         """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""
         if options.nuisances.instrument_noise_log_sd > 0.0:
             return 0.0
-        return options.instrument_noise if self.instrument_noise is None else self.instrument_noise
+        return options.known_instrument_noise if self.instrument_noise is None else self.instrument_noise
 
     def median_noise(self, options: FitOptions) -> FloatArray | float:
         """Return the median of uncertain noise: that of the options, or (n_record, 1) the mean of the used beams."""
         if self.instrument_noise is None:
-            return options.instrument_noise
+            return options.known_instrument_noise
         count = np.maximum(np.count_nonzero(self.used, axis=1, keepdims=True), 1)
         return np.asarray(np.sum(np.where(self.used, self.instrument_noise, 0.0), axis=1, keepdims=True) / count)
 
@@ -165,7 +132,7 @@ def fit_batch(batch: Batch, noise: Noise, options: FitOptions, *, predict: bool 
     ----------
     batch : Batch
         Records with at least one usable beam, a wind speed and a direction.
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Noise of the beams of the batch.
     options : FitOptions
         What is the same for all.
@@ -245,7 +212,7 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
 
 def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) -> RecordDraws:
     """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
-    noise = reduced(cast("NoiseBank", bank), options.nuisances.gradient_names)
+    noise = reduced(bank, options.nuisances.gradient_names)
     factors, weights = options.nuisances.length_scale_nodes()
     parts: list[Likelihood] = []
     place = _place(batch, noise.bank, options.nuisances)
@@ -273,7 +240,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    posterior = Posterior(likelihood, options.prior, nuisances)
+    posterior = Posterior(likelihood, options.made_prior, nuisances)
     chains, streams = sample(
         options.sampler,
         posterior,
@@ -332,7 +299,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    return Posterior(likelihood, options.prior, nuisances), at_record
+    return Posterior(likelihood, options.made_prior, nuisances), at_record
 
 
 def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | None:
@@ -358,13 +325,13 @@ def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:
-    """Return the length scale and Γ of records, for a bank; a single model takes none."""
+    """Return the length scale and Γ of records, where they have their own."""
     own = dict(batch.flow)
     if nuisances.length_scale_log_sd > 0.0:
-        if isinstance(noise, NoiseModel) or np.ptp(np.log(noise.length_scale)) == 0.0:
+        if np.ptp(np.log(noise.length_scale)) == 0.0:
             raise InputError(
-                "The noise knows one length scale only, so it cannot be averaged over others: make a bank with "
-                "theory_bank(..., length_scale=[shortest, longest])."
+                "The noise knows one length scale only, so it cannot be averaged over others: make it with "
+                "noise.calibrate(..., length_scale=[shortest, longest], tolerance=0.01)."
             )
         if nuisances.length_scale is not None:
             own["length_scale"] = np.full(len(batch), nuisances.length_scale)
@@ -374,7 +341,7 @@ def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
                 "that name."
             )
         own["length_scale"] = factor * own["length_scale"]
-    return {} if isinstance(noise, NoiseModel) else own
+    return own
 
 
 def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], streams: RecordStreams) -> FloatArray:
@@ -399,6 +366,6 @@ def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArra
     """Return square roots of positive semi-definite matrices, one decomposition for each different state."""
     _, first, inverse = np.unique(state, return_index=True, return_inverse=True)
     values, vectors = np.linalg.eigh(matrices[first])
-    # eigenvalues below zero are rounding: NoiseModel has refused anything more
+    # eigenvalues below zero are rounding: Noise has refused anything more
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]
     return np.asarray(roots[inverse.reshape(-1)])

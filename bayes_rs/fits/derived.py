@@ -68,6 +68,10 @@ INTENSITIES = {"ti": 0, "ti_v": 1, "ti_w": 2}
 """Turbulence intensities σ_u/U, σ_v/U and σ_w/U, which need the wind speed beside the stresses."""
 
 
+NAMES = (*INTENSITIES, *DERIVED)
+"""All derived quantities."""
+
+
 def check_derived(names: Sequence[str]) -> None:
     """Refuse names that are not derived quantities.
 
@@ -77,7 +81,7 @@ def check_derived(names: Sequence[str]) -> None:
         If one is not known.
     """
     for name in names:
-        check_choice(name, (*INTENSITIES, *DERIVED), what="derived quantity")
+        check_choice(name, NAMES, what="derived quantity")
 
 
 def with_derived(stress: FloatArray, names: Sequence[str], wind_speed: FloatArray | None = None) -> FloatArray:

@@ -6,73 +6,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError
-from bayes_rs.fits.result import check_result, group
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 
 COLUMNS = ("record", "direction", "weight", "seen", "contraction", "contraction_shape", *STRESSES)
-
-
-def directions(result: xr.DataTree, scan: Scan) -> pd.DataFrame:
-    """Tell for every record how much the posterior contracted along each direction of R.
-
-    Parameters
-    ----------
-    result : DataTree
-        From `fit`.
-    scan : Scan
-        The scan of the records.
-
-    Returns
-    -------
-    table : DataFrame
-        Six rows a record, best seen direction first: ``weight``, the singular value over the largest; ``seen``, false
-        where no beam's variance changes along the direction; ``contraction`` and ``contraction_shape`` as in `summary`,
-        of the direction's component; and the direction itself, a unit vector over the six stresses in the lidar's
-        frame (x against the lidar's axis, level).
-
-    Raises
-    ------
-    InputError
-        If the tree is not a result of `fit`, or the scan has other beams.
-
-    Notes
-    -----
-    The directions are the right singular vectors d of the design matrix A of the level frame at yaw 0, in which they do
-    not change from record to record; the posterior and prior covariances of the stresses are turned into it by each
-    record's yaw. contraction = 1 − d·Σ d / d·Σ₀ d, with the covariances of R (or of R over its trace, for the shape)
-    under posterior and prior. A direction that is not seen may contract none the less: what is learned of the others
-    limits it, through the prior's correlations and because R is realizable. Of the shape, seen and unseen directions
-    that share the diagonal mirror each other, because its trace is 1: the contraction of R itself tells them apart.
-
-    Examples
-    --------
-    >>> import bayes_rs as brs
-    >>> scan, flow = brs.load_scan("4-beam"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
-    >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=1, seed=1), scan)
-    >>> table = directions(brs.fit(records, scan, noise=noise, seed=1, sampler="direct"), scan)
-    >>> table["seen"].tolist()
-    [True, True, True, True, False, False]
-    """
-    check_result(result)
-    observed = group(result, "observed_data")
-    beams = observed["beam"].values
-    if not np.all(np.isin(beams, scan.beam)):
-        raise InputError(f"The result's beams {beams.tolist()} are not all in scan {scan.name!r}: give its own scan.")
-    weight, vectors = scan_directions(scan.select(beams))
-    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
-    posterior = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    posterior = posterior.reshape(len(posterior), -1, len(STRESSES))
-    yaw = np.deg2rad(observed["yaw"].values)
-    contraction, of_shape = contraction_along(vectors, posterior, yaw, prior_covariances(prior))
-    return direction_rows(observed["record"].values, weight, vectors, contraction, of_shape)
 
 
 def scan_directions(scan: Scan) -> tuple[FloatArray, FloatArray]:
@@ -88,7 +29,7 @@ def scan_directions(scan: Scan) -> tuple[FloatArray, FloatArray]:
 def direction_rows(
     record: NDArray[Any], weight: FloatArray, vectors: FloatArray, contraction: FloatArray, of_shape: FloatArray
 ) -> pd.DataFrame:
-    """Lay contractions (n_record, 6) along the directions of R out as the table of `directions`."""
+    """Lay contractions (n_record, 6) along the directions of R out as the table of `Fit.directions`."""
     n_record = len(record)
     return pd.DataFrame(
         {
@@ -127,7 +68,7 @@ def contraction_along(
     Returns
     -------
     contraction, of_shape : ndarray, shape (n_record, 6)
-        As in `directions`.
+        As in `Fit.directions`.
     """
     back = rotate_stress(np.eye(len(STRESSES)), yaw_matrix(-np.where(np.isfinite(yaw), yaw, 0.0))[:, None])
     along = vectors @ back.swapaxes(-1, -2)  # d in the mean-wind frame: (record, direction, 6)

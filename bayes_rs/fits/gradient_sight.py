@@ -13,13 +13,13 @@ from bayes_rs.geometry.inflow import GRADIENT_LENGTH, GRADIENTS, gradient_column
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.base import seen_directions
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 
 _NOTHING = 1e-10
 """Share of a gradient's information that is rounding."""
 
 
-def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: NoiseModel | None = None) -> pd.DataFrame:
+def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: Noise | None = None) -> pd.DataFrame:
     """Tell what a homogeneous fit makes of a gradient of the stresses, and whether data could tell the two apart.
 
     Parameters
@@ -28,7 +28,7 @@ def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: NoiseModel | Non
         The scan, at its own yaw.
     stress : array_like, shape (6,)
         The stresses at the middle of the scan, m² s⁻².
-    noise : NoiseModel, optional
+    noise : Noise, optional
         Noise of the scan's variances: the fit is weighted by it, and ``sd`` is known. By default all beams weigh the
         same.
 
@@ -75,7 +75,7 @@ def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: NoiseModel | Non
     matrix = design_matrix(scan)
     if noise is not None:
         noise.check_scan(scan)
-        matrix = noise.gain if noise.yaw == scan.yaw else matrix
+        matrix = noise.gain[0] if noise.yaw[0] == scan.yaw else matrix
     level = matrix @ tensor
     if not np.all(level > 0.0):
         raise InputError(f"Invalid stress {tensor.tolist()}: it gives beam {int(np.argmin(level))} no variance.")
@@ -84,7 +84,7 @@ def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: NoiseModel | Non
     if noise is not None:
         left, seen = seen_directions(np.concatenate([relative, place], axis=1)[None])
         basis = left[0][:, seen[0]]
-        root = np.linalg.cholesky(basis.T @ np.log1p(noise.covariance) @ basis)
+        root = np.linalg.cholesky(basis.T @ np.log1p(noise.covariance[0]) @ basis)
         relative, place = (np.linalg.solve(root, basis.T @ columns) for columns in (relative, place))
     inverse = np.linalg.pinv(relative, rcond=_NOTHING)
     rows = []

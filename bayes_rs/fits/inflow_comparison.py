@@ -12,12 +12,13 @@ from scipy.special import gammaln, logsumexp
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
-from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
-from bayes_rs.fits.fitting import can_be_fitted, fit_options, prepare
+from bayes_rs.fits.batch import Batch, make_posterior
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal
@@ -25,7 +26,7 @@ from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.priors.registry import Prior
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress as progress_bar
 
 TARGETS = ("record", "ensemble")
 _GRADES = ((5.0, "very strong for"), (3.0, "strong for"), (1.0, "positive for"))
@@ -74,7 +75,7 @@ def compare_inflow(
     instrument_noise: float | str = 0.0,
     n_draw: int = 4096,
     leave_one_out: bool = True,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
 ) -> pd.DataFrame:
     """Compare, record by record, a homogeneous inflow with one whose stresses have gradients.
 
@@ -96,7 +97,7 @@ def compare_inflow(
         Weighted draws of a posterior; the Monte-Carlo errors fall with its root.
     leave_one_out : bool
         Predict each beam from the others, too: fits every record once more for each beam.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
 
     Returns
@@ -151,7 +152,7 @@ def compare_inflow(
     --------
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("6-beam-planes"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.theory_noise(scan, flow, wind_speed=10.0)
+    >>> noise = brs.noise.theory(scan, flow, wind_speed=10.0)
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=1, seed=1), scan)
     >>> table = compare_inflow(
     ...     records, scan, noise=noise, nuisances=brs.Nuisances(vertical_gradient_sd=0.5), seed=1, leave_one_out=False
@@ -161,7 +162,16 @@ def compare_inflow(
     """
     check_count(n_draw, what="n_draw", minimum=100)
     check_choice(target, TARGETS, what="target of a comparison")
-    options = fit_options(prior, target, "direct", "log-normal", nuisances, instrument_noise, n_draw, 0, seed)
+    options = FitOptions(
+        prior=prior,
+        target=target,
+        sampler="direct",
+        nuisances=nuisances,
+        instrument_noise=instrument_noise,
+        target_ess=n_draw,
+        max_extension=0,
+        seed=seed,
+    )
     if not nuisances.gradient_names:
         raise InputError(
             "The nuisances have no gradient, so there is nothing to compare: give Nuisances a vertical_gradient_sd or "
@@ -171,13 +181,13 @@ def compare_inflow(
         raise InputError(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )
-    scan, noise, batch = prepare(records, scan, noise, instrument_noise=instrument_noise, nuisances=nuisances)
+    scan, noise, batch = prepare(records, scan, noise, options)
     fitted = can_be_fitted(batch)
     size = max(1, _NUMBERS // (n_draw * scan.n_beam))
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
-    silent = None if show_progress is None else not show_progress
+    silent = None if progress is None else not progress
     found: dict[str, FloatArray] = {}
-    for chunk in progress(chunks, len(chunks), "comparing inflows", disable=silent):
+    for chunk in progress_bar(chunks, len(chunks), "comparing inflows", disable=silent):
         for name, values in _compare(batch.take(chunk), noise, options, leave_one_out).items():
             found.setdefault(name, np.full(len(batch), np.nan))[chunk] = values
     start = records["time"].values if "time" in records.coords else np.full(len(batch), np.datetime64("NaT", "ns"))

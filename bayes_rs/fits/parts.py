@@ -1,9 +1,9 @@
-"""The fit of some records in a row, and its tables: what a worker of a long fit does."""
+"""The fit of some records in a row, and its tables: what a worker does."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import NotPositiveDefiniteError
-from bayes_rs.fits.batch import Batch, FitOptions, RecordDraws, fit_batch, join_draws
-from bayes_rs.fits.direction_table import contraction_along, direction_rows
-from bayes_rs.fits.fitting import batch_size, can_be_fitted, flags_after
-from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.batch import Batch, RecordDraws, fit_batch, join_draws
+from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, PAIRS, PER_RECORD
+from bayes_rs.fits.direction_table import contraction_along
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.flags import FLAGS, flags_after
+from bayes_rs.fits.prepare import can_be_fitted
 from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 from bayes_rs.posteriors.sonic import ESS_MARGIN
 
-ALONG = tuple(f"direction_{number}" for number in range(1, len(STRESSES) + 1))
-"""Columns with the contraction along each direction of R; the directions themselves stand in `run.json`."""
-ALONG_SHAPE = tuple(f"direction_shape_{number}" for number in range(1, len(STRESSES) + 1))
-"""The same of the shape of R."""
 _FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
 """What the likelihood of a record may fail with."""
-_PER_RECORD = ("acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
-_PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
+_CHUNK = 128
+"""Records that are sampled together; memory, not the result, depends on it."""
+_CHUNK_NUMBERS = 4_000_000
+"""Entries of the covariances of records that are sampled together: 32 MB an array."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Shared:
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         Of the records' beams.
     options : FitOptions
         Of the fit.
@@ -48,12 +48,10 @@ class Shared:
         The directions of R, one a row, from `scan_directions`.
     prior_covariances : tuple of ndarray, shape (6, 6)
         From the function of that name.
-    prob : float
-        Probability of the intervals.
-    draws : str
-        What is kept of the draws.
-    n_beam : int
-        Beams of the scan.
+    keep_draws : bool
+        Whether the draws are kept.
+    beam : ndarray of int, shape (n_beam,)
+        Numbers of the beams.
     """
 
     noise: Noise
@@ -61,15 +59,8 @@ class Shared:
     outline: PriorOutline
     vectors: FloatArray
     prior_covariances: tuple[FloatArray, FloatArray]
-    prob: float
-    draws: str
-    n_beam: int
-
-    @property
-    def n_draw(self) -> int:
-        """Draws of a record."""
-        margin = ESS_MARGIN if self.options.target == "sonic" else 1.0
-        return N_CHAIN * kept_draws(int(np.ceil(margin * self.options.target_ess)))
+    keep_draws: bool
+    beam: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -85,85 +76,117 @@ class Part:
 
 @dataclass(frozen=True)
 class Done:
-    """The tables of one part, and its draws (n_record, n_draw, 6) where they go to a Zarr store."""
+    """The tables of one part: ``summary``, ``posterior`` and, where draws are kept, ``draws`` and ``predicted``."""
 
     index: int
     tables: dict[str, pd.DataFrame]
-    draws: NDArray[np.float32] | None = None
+
+
+def n_kept(options: FitOptions) -> int:
+    """Return how many draws of each chain of a record a fit makes."""
+    margin = ESS_MARGIN if options.target == "sonic" else 1.0
+    return kept_draws(int(np.ceil(margin * options.target_ess)))
+
+
+def batch_size(n_beam: int) -> int:
+    """Return how many records are sampled together."""
+    return int(np.clip(_CHUNK_NUMBERS // n_beam**2, 1, _CHUNK))
 
 
 def fit_part(shared: Shared, part: Part) -> Done:
     """Fit the records of one part and lay out its tables."""
     fitted = can_be_fitted(part.batch)
-    n_record, n_name = len(part.batch), len(STRESSES) + len(shared.outline.derived)
-    columns: dict[str, NDArray[np.float64]] = {}
     flag = part.flag.copy()
-    covariance = np.full((n_record, len(_PAIRS)), np.nan)
-    per_record = {name: np.full(n_record, np.nan) for name in _PER_RECORD}
-    along, along_shape = (np.full((n_record, len(STRESSES)), np.nan) for _ in range(2))
-    sampler = np.full(n_record, "", dtype=object)
-    outside = np.zeros(n_record, dtype=np.bool_)
-    kept: list[pd.DataFrame] = []
-    stored = (
-        np.full((n_record, shared.n_draw, len(STRESSES)), np.nan, dtype=np.float32) if shared.draws == "zarr" else None
-    )
-    size = min(batch_size(shared.n_beam), 128)
+    found = _Columns(len(part.batch))
+    kept: list[tuple[NDArray[np.int64], RecordDraws]] = []
+    size = batch_size(len(shared.beam))
     for first in range(0, len(fitted), size):
-        some, draws = _fit_those_that_can(part.batch, fitted[first : first + size], shared)
-        flag[np.setdiff1d(fitted[first : first + size], some)] |= FLAGS["likelihood_failed"]
-        if draws is None:
-            continue
-        chains = draws.chains
-        flag[some] |= flags_after(draws, shared.options.target_ess)
-        known = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat}
-        found = summarize_draws(chains.stress, shared.outline, part.batch.wind_speed[some], shared.prob, known)
-        for name, values in found.items():
-            columns.setdefault(name, np.full((n_record, n_name), np.nan))[some] = values
-        flat = chains.stress.reshape(len(some), -1, len(STRESSES))
-        centred = flat - flat.mean(axis=1, keepdims=True)
-        matrix = centred.swapaxes(-1, -2) @ centred / (flat.shape[1] - 1.0)
-        covariance[some] = np.stack([matrix[:, i, j] for i, j in _PAIRS], axis=-1)
-        along[some], along_shape[some] = contraction_along(
-            shared.vectors, flat, part.batch.yaw[some], shared.prior_covariances
-        )
-        per_record["acceptance_rate"][some] = chains.acceptance
-        per_record["n_step"][some] = chains.n_step
-        per_record["pareto_k"][some] = chains.pareto_k
-        per_record["misfit"][some] = draws.misfit
-        per_record["sonic_clipped"][some] = draws.clipped
-        sampler[some] = chains.sampler
-        outside[some] = draws.outside
-        if stored is not None:
-            stored[some] = flat
-        elif shared.draws != "none":
-            kept.append(_draws_table(flat, part.record[some], shared.draws))
+        wanted = fitted[first : first + size]
+        some, draws = _fit_those_that_can(part.batch, wanted, shared)
+        flag[np.setdiff1d(wanted, some)] |= FLAGS["likelihood_failed"]
+        if draws is not None:
+            flag[some] |= flags_after(draws, shared.options.target_ess)
+            _put(found, some, draws, part.batch, shared)
+            if shared.keep_draws:
+                kept.append((part.record[some], draws))
     tables = {
         "summary": summary_frame(
-            columns,
+            found.summary,
             record=part.record,
             time=part.time,
             flag=flag,
             derived=shared.outline.derived,
-            prob=shared.prob,
+            prob=shared.options.prob,
         ),
-        "posterior": pd.DataFrame(
-            {
-                "record": part.record,
-                "time": part.time,
-                "flag_bits": flag,
-                "sampler": sampler,
-                "outside_noise": outside,
-                **per_record,
-                **{f"cov_{STRESSES[i]}_{STRESSES[j]}": covariance[:, column] for column, (i, j) in enumerate(_PAIRS)},
-                **dict(zip(ALONG, along.T, strict=True)),
-                **dict(zip(ALONG_SHAPE, along_shape.T, strict=True)),
-            }
-        ),
+        "posterior": _posterior_table(found, part, flag),
     }
-    if shared.draws in ("float32", "float64"):
-        empty = _draws_table(np.empty((0, 0, len(STRESSES))), np.empty(0, dtype=np.int64), shared.draws)
-        tables["draws"] = pd.concat(kept, ignore_index=True) if kept else empty
-    return Done(part.index, tables, stored)
+    if shared.keep_draws:
+        tables["draws"] = _joined([_draws_table(*one, shared) for one in kept], shared)
+        tables["predicted"] = _joined([_predicted_table(*one, shared) for one in kept], shared, predicted=True)
+    return Done(part.index, tables)
+
+
+@dataclass
+class _Columns:
+    """What is known of the records of a part; NaN for those that were not fitted."""
+
+    n_record: int
+    summary: dict[str, FloatArray] = field(default_factory=dict)
+    numbers: dict[str, FloatArray] = field(default_factory=dict)
+    sampler: NDArray[Any] = field(init=False)
+    outside: NDArray[np.bool_] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sampler = np.full(self.n_record, "", dtype=object)
+        self.outside = np.zeros(self.n_record, dtype=np.bool_)
+
+    def put(self, where: dict[str, FloatArray], rows: NDArray[np.int64], values: Mapping[str, FloatArray]) -> None:
+        for name, some in values.items():
+            where.setdefault(name, np.full((self.n_record, *some.shape[1:]), np.nan))[rows] = some
+
+
+def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared) -> None:
+    """Enter what the draws of some records tell."""
+    chains = draws.chains
+    known = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat}
+    found.put(
+        found.summary,
+        rows,
+        summarize_draws(chains.stress, shared.outline, batch.wind_speed[rows], shared.options.prob, known),
+    )
+    flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
+    centred = flat - flat.mean(axis=1, keepdims=True)
+    matrix = centred.swapaxes(-1, -2) @ centred / (flat.shape[1] - 1.0)
+    along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
+    numbers = {
+        "acceptance_rate": chains.acceptance,
+        "n_step": chains.n_step.astype(np.float64),
+        "pareto_k": chains.pareto_k,
+        "misfit": draws.misfit,
+        "sonic_clipped": draws.clipped,
+        **{name: matrix[:, i, j] for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True)},
+        **dict(zip(ALONG, along.T, strict=True)),
+        **dict(zip(ALONG_SHAPE, of_shape.T, strict=True)),
+        **dict(zip(CORRELATED, chains.autocorrelation_time.T, strict=True)),
+    }
+    found.put(found.numbers, rows, numbers)
+    found.sampler[rows] = chains.sampler
+    found.outside[rows] = draws.outside
+
+
+def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd.DataFrame:
+    missing = np.full(found.n_record, np.nan)
+    names = (*PER_RECORD, *COVARIANCES, *ALONG, *ALONG_SHAPE, *CORRELATED)
+    return pd.DataFrame(
+        {
+            "record": part.record,
+            "time": part.time,
+            "flag_bits": flag,
+            "sampler": found.sampler,
+            "outside_noise": found.outside,
+            **{name: found.numbers.get(name, missing) for name in names},
+        }
+    )
 
 
 def _fit_those_that_can(
@@ -171,7 +194,7 @@ def _fit_those_that_can(
 ) -> tuple[NDArray[np.int64], RecordDraws | None]:
     """Fit some records of a batch; return those that could be, and their draws."""
     try:
-        return rows, fit_batch(batch.take(rows), shared.noise, shared.options, predict=False)
+        return rows, fit_batch(batch.take(rows), shared.noise, shared.options, predict=shared.keep_draws)
     except _FAILED:
         if len(rows) == 1:
             return rows[:0], None
@@ -181,36 +204,45 @@ def _fit_those_that_can(
     return np.concatenate([some for some, _ in found]), join_draws(fitted) if fitted else None
 
 
-def _draws_table(flat: NDArray[np.float64], record: NDArray[np.int64], kind: str) -> pd.DataFrame:
-    n_record, n_draw, _ = flat.shape
-    columns = flat.reshape(-1, len(STRESSES)).astype(kind)
+def _draws_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) -> pd.DataFrame:
+    """Lay out draws (n_record, n_chain, n_draw, 6), and those of the nuisances, one row a draw."""
+    _, n_chain, n_draw, _ = draws.chains.stress.shape
+    kind = shared.options.draws_type
+    flat = draws.chains.stress.reshape(-1, len(STRESSES)).astype(kind)
     return pd.DataFrame(
         {
-            "record": np.repeat(record, n_draw),
-            "draw": np.tile(np.arange(n_draw, dtype=np.int32), n_record),
-            **{name: columns[:, index] for index, name in enumerate(STRESSES)},
+            **_places(record, n_chain, n_draw),
+            **{name: flat[:, index] for index, name in enumerate(STRESSES)},
+            **{name: values.reshape(-1).astype(kind) for name, values in draws.nuisances.items()},
         }
     )
 
 
-def directions_of(rows: pd.DataFrame, run: Mapping[str, Any]) -> pd.DataFrame | None:
-    """Return the table of `bayes_rs.directions` of a long fit.
+def _predicted_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) -> pd.DataFrame:
+    """Lay out predicted variances (n_record, n_chain, n_predicted, n_beam), one row a draw."""
+    _, n_chain, n_draw, n_beam = draws.predicted.shape
+    flat = draws.predicted.reshape(-1, n_beam).astype(shared.options.draws_type)
+    beams = {f"beam_{number}": flat[:, index] for index, number in enumerate(shared.beam.tolist())}
+    return pd.DataFrame({**_places(record, n_chain, n_draw), **beams})
 
-    Parameters
-    ----------
-    rows : DataFrame
-        The table ``posterior``, or some of its rows.
-    run : dict
-        Content of ``run.json``.
 
-    Returns
-    -------
-    table : DataFrame or None
-        None if the fit is of a version that did not keep it.
-    """
-    known = run.get("directions")
-    if not isinstance(known, dict) or not {*ALONG, *ALONG_SHAPE} <= set(rows.columns):
-        return None
-    along, along_shape = (rows[list(names)].to_numpy(dtype=np.float64) for names in (ALONG, ALONG_SHAPE))
-    weight, vectors = (np.asarray(known[name], dtype=np.float64) for name in ("weight", "vectors"))
-    return direction_rows(rows["record"].to_numpy(), weight, vectors, along, along_shape)
+def _places(record: NDArray[np.int64], n_chain: int, n_draw: int) -> dict[str, NDArray[Any]]:
+    return {
+        "record": np.repeat(record, n_chain * n_draw),
+        "chain": np.tile(np.repeat(np.arange(n_chain, dtype=np.int32), n_draw), len(record)),
+        "draw": np.tile(np.arange(n_draw, dtype=np.int32), n_chain * len(record)),
+    }
+
+
+def _joined(tables: list[pd.DataFrame], shared: Shared, *, predicted: bool = False) -> pd.DataFrame:
+    """Put tables of draws together; without any, return an empty one with the same columns."""
+    if tables:
+        return pd.concat(tables, ignore_index=True)
+    more = [f"beam_{number}" for number in shared.beam.tolist()] if predicted else list(STRESSES)
+    more += [] if predicted else list(shared.options.nuisances.names)
+    return pd.DataFrame(
+        {
+            **_places(np.empty(0, dtype=np.int64), N_CHAIN, 0),
+            **{name: np.empty(0, shared.options.draws_type) for name in more},
+        }
+    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,13 +12,14 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fitting import fit
-from bayes_rs.fits.result import group
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fitting import fit, split_options, with_median_length_scale
+from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.model import Noise
-from bayes_rs.posteriors.nuisance import Nuisances
-from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.noise.noise import Noise
+from bayes_rs.priors.registry import Prior
 
 COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "contraction", "decided_by")
 _DECIDED = 0.25
@@ -25,31 +28,25 @@ _DECIDED = 0.25
 
 def prior_sensitivity(
     records: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
-    noise: Noise,
     seed: int,
-    prior: str | Prior = "weak",
+    noise: Noise | str | Path | None = None,
     factors: Sequence[float] = (0.5, 2.0),
-    prob: float = 0.9,
-    target: str = "record",
-    sampler: str = "auto",
-    nuisances: Nuisances | None = None,
-    instrument_noise: float | str = 0.0,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
+    say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
+    **options: Any,
 ) -> pd.DataFrame:
     """Fit the records again under narrower and wider versions of the prior, and tell what changes.
 
     Parameters
     ----------
-    records, scan, noise, seed, prior
+    records, scan, seed, noise, progress, say
         As in `fit`.
     factors : sequence of float
         All widths of the prior are multiplied by these; 1 is always there.
-    prob : float
-        Probability of the central intervals.
-    target, sampler, nuisances, instrument_noise, show_progress
-        As in `fit`; by default direct draws, and emcee where those do not do.
+    **options
+        As in `fit`: ``prior`` is the prior whose width is varied, ``prob`` the probability of the central intervals.
 
     Returns
     -------
@@ -76,32 +73,23 @@ def prior_sensitivity(
     >>> scan, flow = brs.load_scan("50-beam"), brs.load_turbulence("fu-2022")
     >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=4, seed=1), scan)
-    >>> table = brs.prior_sensitivity(records, scan, noise=noise, seed=1)
+    >>> table = prior_sensitivity(records, scan, noise=noise, seed=1)
     >>> table.query("stress == 'uu' and factor == 1")["width_ratio"].item()
     1.0
     """
-    chosen = make_prior(prior)
+    own, choice = split_options({**options, "seed": seed, "draws": "float64"})
     for factor in factors:
         check_positive(factor, what="factor", unit="", where="the check of the prior")
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
     every = sorted({1.0, *(float(factor) for factor in factors)})
+    used, given = as_scan(scan), given_noise(noise)
+    own = with_median_length_scale(own, choice, records, given)
+    made, records = noise_and_records(records, used, given, own, choice, say)
+    asked = {name: getattr(own, name) for name in own.__dataclass_fields__}
     found = {}
     for factor in every:
-        version = chosen if factor == 1.0 else chosen.widened(factor)
-        result = fit(
-            records,
-            scan,
-            noise=noise,
-            seed=seed,
-            prior=version,
-            target=target,
-            sampler=sampler,
-            nuisances=nuisances,
-            instrument_noise=instrument_noise,
-            show_progress=show_progress,
-        )
-        found[factor] = _Spread(result, version, prob)
+        version = own.made_prior if factor == 1.0 else own.made_prior.widened(factor)
+        result = fit(records, used, noise=made, progress=progress, **{**asked, "prior": version})
+        found[factor] = _Spread(result, version, own.prob)
     plain = found[1.0]
     if plain.width.size == 0:
         raise InputError("No record could be fitted, so there is nothing to compare: see the records' flags.")
@@ -134,15 +122,46 @@ def prior_sensitivity(
 class _Spread:
     """Centre and widths of the fitted records of one result, each of shape (n_record, 6)."""
 
-    def __init__(self, result: xr.DataTree, version: Prior, prob: float) -> None:
-        stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
+    def __init__(self, result: Fit, version: Prior, prob: float) -> None:
+        stress = result.draws()[result.fitted]
         flat = stress.reshape(len(stress), -1, len(STRESSES))
-        flat = flat[np.isfinite(flat).all(axis=(1, 2))]
         levels = [0.5 - 0.5 * prob, 0.5, 0.5 + 0.5 * prob]
         ends = np.quantile(flat, levels, axis=1) if len(flat) else np.empty((3, 0, len(STRESSES)))
         self.median: FloatArray = ends[1]
         self.width: FloatArray = ends[2] - ends[0]
         self.sd: FloatArray = flat.std(axis=1)
-        prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
         self.prior_width: FloatArray = version.interval_widths(prob)
-        self.contraction: FloatArray = 1.0 - self.sd**2 / prior.var(axis=0)
+        self.contraction: FloatArray = 1.0 - self.sd**2 / result.prior_draws.var(axis=0)
+
+
+def sensitivity_lines(table: pd.DataFrame) -> list[str]:
+    """Lay out the table of `prior_sensitivity` for reading, one line a stress.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `prior_sensitivity`.
+
+    Returns
+    -------
+    lines : list of str
+        A heading; then for each stress the widths of the prior's and the posterior's interval, m² s⁻², the ratio of the
+        posterior's width to that under the prior itself for each other factor, and what decided it.
+
+    Examples
+    --------
+    >>> rows = [(0.5, "uu", 2.0, 0.9, 0.9, 0.1, 0.8, "both"), (1.0, "uu", 4.0, 1.0, 1.0, 0.0, 0.9, "both")]
+    >>> for line in sensitivity_lines(pd.DataFrame(rows, columns=list(COLUMNS))):
+    ...     print(line)
+    stress     prior  posterior    x 0.5  decided by
+    uu          4.00       1.00     0.90  both
+    """
+    columns = (table[name].tolist() for name in ("factor", "stress", "width_ratio"))
+    ratio = {(factor, stress): value for factor, stress, value in zip(*columns, strict=True)}
+    others = [factor for factor in table["factor"].unique().tolist() if factor != 1.0]
+    heads = "".join(f"{f'x {factor:g}':>9}" for factor in others)
+    lines = [f"{'stress':<8}{'prior':>8}{'posterior':>11}{heads}  decided by"]
+    for row in table[table["factor"] == 1.0].to_dict("records"):
+        ratios = "".join(f"{ratio[factor, row['stress']]:>9.2f}" for factor in others)
+        lines.append(f"{row['stress']:<8}{row['prior_width']:>8.2f}{row['width']:>11.2f}{ratios}  {row['decided_by']}")
+    return lines

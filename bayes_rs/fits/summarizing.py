@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_choice
-from bayes_rs.errors import InputError
-from bayes_rs.fits.derived import check_derived, with_derived
-from bayes_rs.fits.frames import FRAMES, to_lidar_frame
-from bayes_rs.fits.result import check_result, flag_words, group
+from bayes_rs._validation import FloatArray
+from bayes_rs.fits.derived import with_derived
+from bayes_rs.fits.flags import flag_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
@@ -42,85 +39,6 @@ COLUMNS: tuple[str, ...] = (
     "flag",
 )
 DIAGNOSTICS = ("ess_bulk", "ess_tail", "r_hat")
-_BATCH = 64
-"""Records that are summarized together."""
-
-
-def summary(
-    result: xr.DataTree, *, prob: float = 0.9, derived: Sequence[str] = (), frame: str = "wind"
-) -> pd.DataFrame:
-    """Summarize the posterior of every record.
-
-    Parameters
-    ----------
-    result : DataTree
-        From `fit`, or read from its file.
-    prob : float
-        Probability of the highest-density intervals.
-    derived : sequence of str
-        Quantities beside the six stresses: turbulence intensities ``"ti"`` (σ_u/U), ``"ti_v"``, ``"ti_w"``; ``"tke"``;
-        ``"friction_velocity"``; ``"correlation_uv"``, ``"correlation_uw"``, ``"correlation_vw"``; the invariants
-        ``"anisotropy_2"``, ``"anisotropy_3"`` and ``"lumley_xi"``, ``"lumley_eta"`` of the anisotropy tensor.
-    frame : {"wind", "lidar"}
-        Axes of the stresses and of what is derived from them: of the record's mean wind, or of the levelled lidar (x
-        against its view, y to its right, z up), by the record's ``yaw``.
-
-    Returns
-    -------
-    table : DataFrame
-        One row for each record and stress (and derived quantity), with the columns of `COLUMNS`: number and start of
-        the record; posterior mean, sd, median and ends of the highest-density interval, m² s⁻² for stresses;
-        contraction; Monte-Carlo standard errors of mean, sd, median and of the interval's ends; effective sample
-        sizes, R-hat, and flags in words. Records that were not fitted have NaN.
-
-    Raises
-    ------
-    InputError
-        If the tree is not a result of `fit`, prob is not between 0 and 1, or a derived quantity or the frame is not
-        known.
-
-    Notes
-    -----
-    contraction = 1 − Var[posterior] / Var[prior]. Near 1 the data decided, near 0 the prior did. A prior that leaves
-    the size of the turbulence open makes the contraction of every stress near 1, because any beam tells the size; so
-    contraction_shape is the same number for the stress divided by the trace uu + vv + ww, from which the size is gone.
-
-    The Monte-Carlo errors follow from the effective sample sizes: of the mean sd/√n, of the sd ½ sd √((κ − 1)/n) with
-    the kurtosis κ, of the median and the ends those of the quantiles at their places. The shortest interval slides a
-    little over intervals of the same probability besides, which its ends' errors leave out.
-    """
-    check_result(result)
-    check_summary_options(prob, derived)
-    check_choice(frame, FRAMES, what="frame")
-    stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    prior = group(result, "prior")["stress"].values.reshape(-1, len(STRESSES))
-    outline = PriorOutline(prior, derived)
-    observed = group(result, "observed_data")
-    wind_speed = observed["wind_speed"].values
-    stats = group(result, "sample_stats")
-    known = {name: stats[name].transpose("record", "component").values for name in DIAGNOSTICS if name in stats}
-    fitted = np.flatnonzero(np.isfinite(stress).all(axis=(1, 2, 3)))
-    columns: dict[str, FloatArray] = {}
-    for start in range(0, len(fitted), _BATCH):
-        chunk = fitted[start : start + _BATCH]
-        in_frame, diagnosed = stress[chunk], {name: values[chunk] for name, values in known.items()}
-        if frame == "lidar":
-            yaw = np.deg2rad(observed["yaw"].values[chunk])
-            in_frame = to_lidar_frame(in_frame, yaw[:, None, None])
-            diagnosed = _diagnosed_in_frame(in_frame, diagnosed)
-            outline = _outline_in_lidar_frame(prior, derived, yaw)
-        part = summarize_draws(in_frame, outline, wind_speed[chunk], prob, diagnosed)
-        for column, values in part.items():
-            columns.setdefault(column, np.full((len(stress), values.shape[1]), np.nan))[chunk] = values
-    no_time = np.full(len(stress), np.datetime64("NaT", "ns"))
-    return summary_frame(
-        columns,
-        record=observed["record"].values,
-        time=observed["time"].values if "time" in observed.coords else no_time,
-        flag=stats["flag"].values,
-        derived=derived,
-        prob=prob,
-    )
 
 
 class PriorOutline:
@@ -138,26 +56,6 @@ class PriorOutline:
         self.derived = tuple(derived)
         self.variance = with_derived(draws, derived).var(axis=0)  # the prior says nothing of the wind speed: TI is NaN
         self.shape_variance = (draws / draws[:, :3].sum(axis=1, keepdims=True)).var(axis=0)
-
-
-def _outline_in_lidar_frame(draws: FloatArray, derived: Sequence[str], yaw: FloatArray) -> PriorOutline:
-    """Return the outline of the prior in the lidar's frame, one row of variances for each wind direction, rad."""
-    turned = PriorOutline(draws, derived)
-    parts = [PriorOutline(to_lidar_frame(draws, angle), derived) for angle in yaw]
-    turned.variance = np.stack([part.variance for part in parts])
-    turned.shape_variance = np.stack([part.shape_variance for part in parts])
-    return turned
-
-
-def _diagnosed_in_frame(stress: FloatArray, known: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the diagnostics of turned draws; weighted draws are worth no more than in the frame they were made in."""
-    found = diagnostics.diagnose(np.ascontiguousarray(np.moveaxis(stress, -1, 1)), N_ENSEMBLE)
-    bounds = {name: known[name].max(axis=1, keepdims=True) if name in known else np.inf for name in DIAGNOSTICS}
-    return {
-        "ess_bulk": np.minimum(found.ess_bulk, bounds["ess_bulk"]),
-        "ess_tail": np.minimum(found.ess_tail, bounds["ess_tail"]),
-        "r_hat": found.r_hat,
-    }
 
 
 def summarize_draws(
@@ -276,16 +174,3 @@ def summary_frame(
         }
     )
     return table[list(COLUMNS)]
-
-
-def check_summary_options(prob: float, derived: Sequence[str]) -> None:
-    """Refuse options of `summary` that it cannot take, before any work is done for it.
-
-    Raises
-    ------
-    InputError
-        If prob is not between 0 and 1, or a derived quantity is not known.
-    """
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    check_derived(derived)

@@ -1,9 +1,8 @@
-"""The Parquet tables of a long fit: one file a part and month, each whole or not there."""
+"""The Parquet tables of a fit: one file a part and month, each whole, and with the bytes that were written."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -14,14 +13,16 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from bayes_rs.errors import InputError
+from bayes_rs.result_folder import ResultFolder, open_result_folder
 
 MONTH = "month="
 """Begins the name of a folder with the records of one month, as Hive has it."""
 
 
-def part_files(folder: str | Path, dataset: str) -> list[Path]:
-    """Return the files of a Parquet dataset of a long fit, in the order of the records."""
-    return sorted((Path(folder) / dataset).glob("**/part-*.parquet"), key=lambda file: (file.name, file.parent.name))
+def part_names(folder: ResultFolder, dataset: str) -> list[str]:
+    """Return the files of a Parquet dataset that a folder lists, in the order of the records."""
+    found = [name for name in folder.names(f"{dataset}/") if name.endswith(".parquet")]
+    return sorted(found, key=lambda name: name.split("/")[::-1])
 
 
 def read_summary(folder: str | Path) -> pd.DataFrame:
@@ -40,55 +41,74 @@ def read_summary(folder: str | Path) -> pd.DataFrame:
     Raises
     ------
     InputError
-        If the folder holds no summary.
+        If the folder holds no summary, or a file of it was changed since it was written.
     """
-    if not part_files(folder, "summary"):
-        raise InputError(f"No summary in {str(folder)!r}: give the output folder of fit_campaign.")
     return read_tables(folder, "summary")
 
 
 def read_tables(folder: str | Path, dataset: str, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read a Parquet dataset of a long fit, or some of its columns, as one table in the order of the records."""
+    """Read a Parquet dataset of a long fit, or some of its columns, as one table in the order of the records.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no such dataset, or a file of it was changed since it was written.
+    """
+    opened = open_result_folder(folder)
+    names = part_names(opened, dataset)
+    if not names:
+        raise InputError(f"No {dataset} in {str(folder)!r}: give the output folder of fit_campaign.")
+    return read_table(opened, names, columns)
+
+
+def read_table(folder: ResultFolder, names: Iterable[str], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Read Parquet files of a folder as one table.
+
+    Parameters
+    ----------
+    folder : ResultFolder
+        The folder.
+    names : iterable of str
+        Its files, at least one.
+    columns : sequence of str, optional
+        Columns to read; by default all.
+
+    Returns
+    -------
+    table : DataFrame
+        The rows of all files, one after the other.
+
+    Raises
+    ------
+    InputError
+        If a file is not what was written.
+
+    Notes
+    -----
+    The bytes that are compared with the fingerprint are those that are read.
+    """
     wanted = None if columns is None else list(columns)
-    whole = pa.concat_tables([pq.ParquetFile(file).read(wanted) for file in part_files(folder, dataset)])
-    return cast("pd.DataFrame", whole.to_pandas())
+    tables = [pq.ParquetFile(pa.BufferReader(folder.read(name))).read(wanted) for name in names]
+    return cast("pd.DataFrame", pa.concat_tables(tables).to_pandas())
 
 
-def files_of_part(
-    folder: Path, dataset: str, index: int, time: NDArray[np.datetime64]
-) -> list[tuple[Path, NDArray[np.bool_]]]:
+def names_of_part(dataset: str, index: int, time: NDArray[np.datetime64]) -> list[tuple[str, NDArray[np.bool_]]]:
     """Return the files of the part `index`, one for each month, and which of its records are in each."""
     name = f"part-{index:06d}.parquet"
     if np.isnat(time).any():
-        return [(folder / dataset / name, np.ones(len(time), dtype=np.bool_))]
+        return [(f"{dataset}/{name}", np.ones(len(time), dtype=np.bool_))]
     month = time.astype("datetime64[M]")
-    return [(folder / dataset / f"{MONTH}{one}" / name, month == one) for one in np.unique(month)]
+    return [(f"{dataset}/{MONTH}{one}/{name}", month == one) for one in np.unique(month)]
 
 
-def is_whole(file: Path) -> bool:
-    """Tell whether a file is there and readable: what cannot be read is done again."""
-    try:
-        pq.read_metadata(file)
-    except (OSError, pa.ArrowInvalid):
-        return False
-    return True
+def write_table(folder: ResultFolder, name: str, table: pd.DataFrame) -> None:
+    """Write a table as Parquet: whole or not at all, and the same bytes for the same table.
 
-
-def write_table(table: pd.DataFrame, file: Path) -> None:
-    """Write a table that appears whole or not at all."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.{os.getpid()}")  # readers of the folder pass over names with a dot
-    try:
-        table.to_parquet(part, index=False)
-        with part.open("rb") as written:
-            os.fsync(written.fileno())  # on the disk before it has its name: a power cut leaves no empty part
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def remove_half_written(folder: Path, datasets: Sequence[str]) -> None:
-    """Remove what interrupted runs had half written."""
-    for name in datasets:
-        for leftover in (folder / name).glob("**/.part-*.parquet.*"):
-            leftover.unlink(missing_ok=True)
+    Raises
+    ------
+    OSError
+        If it cannot be written, as on a full disk.
+    """
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pandas(table, preserve_index=False), sink)
+    folder.write_bytes(name, sink.getvalue().to_pybytes())

@@ -1,38 +1,33 @@
-"""What a job says at its end: what the scan sees, which prior it was, and what the data said beyond the prior."""
+"""What a fit found, in lines: what the scan sees, which prior it was, what the data said, what failed."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs.fits.direction_table import direction_words
-from bayes_rs.fits.result import FLAGS
+from bayes_rs.fits.flags import FAILURES, FLAGS, flag_words
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.priors.registry import Prior
 
-FAILURES = (
-    FLAGS["no_usable_beam"]
-    | FLAGS["no_wind"]
-    | FLAGS["short_chain"]
-    | FLAGS["ensembles_differ"]
-    | FLAGS["weights_uneven"]
-    | FLAGS["likelihood_failed"]
-)
-"""Flags that count as a failure of a record; the others are remarks."""
+_LISTED = 20
+"""Failures that are listed one by one."""
 
 
-def flag_lines(flags: NDArray[np.int64], name: Callable[[int], str]) -> list[str]:
+def record_name(number: int, time: np.datetime64) -> str:
+    """Return what to call a record: its number, and its start where that is known."""
+    return f"record {number}" if np.isnat(time) else f"record {number} ({np.datetime_as_string(time, unit='m')})"
+
+
+def flag_lines(flags: NDArray[np.int64], names: list[str]) -> list[str]:
     """Say how many records have each flag, and which is the first of them.
 
     Parameters
     ----------
     flags : ndarray of int, shape (n_record,)
         Bit masks, as in `FLAGS`.
-    name : callable
-        What to call a record, by its place in `flags`.
+    names : list of str
+        What to call the records.
 
     Returns
     -------
@@ -40,10 +35,19 @@ def flag_lines(flags: NDArray[np.int64], name: Callable[[int], str]) -> list[str
         One for each flag that some record has.
     """
     return [
-        f"flag {word}: {np.count_nonzero(has)} of {len(flags)} records, first {name(int(np.argmax(has)))}"
+        f"flag {word}: {np.count_nonzero(has)} of {len(flags)} records, first {names[int(np.argmax(has))]}"
         for word, has in ((word, (flags & bit) != 0) for word, bit in FLAGS.items())
         if has.any()
     ]
+
+
+def failure_lines(flags: NDArray[np.int64], names: list[str]) -> list[str]:
+    """Return one line for each record that was not fitted or whose chain fell short; of many, the first ones."""
+    failed = np.flatnonzero((flags & FAILURES) != 0)
+    lines = [f"{names[index]}: {flag_words(int(flags[index]))}" for index in failed[:_LISTED].tolist()]
+    if len(failed) > _LISTED:
+        lines.append(f"and {len(failed) - _LISTED} more records: see the column flag of the summary")
+    return lines
 
 
 def least_seen(table: pd.DataFrame) -> list[str]:
@@ -52,7 +56,7 @@ def least_seen(table: pd.DataFrame) -> list[str]:
     Parameters
     ----------
     table : DataFrame
-        From `directions`.
+        From `Fit.directions`.
 
     Returns
     -------
@@ -66,19 +70,19 @@ def least_seen(table: pd.DataFrame) -> list[str]:
     unseen = int((along["weight"] == 0.0).sum())
     last = along.sort_values(["weight", "contraction_shape"]).iloc[0]
     which = direction_words(last[list(STRESSES)].to_numpy(dtype=np.float64))
-    how = {0: "", 1: " (not at all)"}.get(unseen, f" (one of {unseen} that it does not see)")
-    numbers = f"{last['contraction']:.2f}, of the shape {last['contraction_shape']:.2f}"
-    return [f"contraction along what the scan sees least, {which}{how}: {numbers}"]
+    how = {0: "hardly see", 1: "do not see"}.get(unseen, f"do not see (one of {unseen} such directions)")
+    prior = 100.0 * min(max(1.0 - last["contraction_shape"], 0.0), 1.0)
+    return [f"the beams {how} {which}: {prior:.0f} % of its share of the whole comes from the prior"]
 
 
-def describe(scan: str, sight: str, prior: Prior, table: pd.DataFrame) -> list[str]:
+def describe(scan: str, sight: str, prior: str, prior_widths: list[float], table: pd.DataFrame) -> list[str]:
     """Say what the scan sees, which prior it was, and how much narrower the posterior is than the prior."""
-    lines = [f"scan {scan}: {sight}", f"prior {prior.in_words()}"]
+    lines = [f"scan {scan}: {sight}", f"prior {prior}"]
     rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
     if len(rows):
         prob = float(rows["prob"].iloc[0])
         posterior = (rows["hdi_high"] - rows["hdi_low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
-        for whose, widths in (("the prior", prior.interval_widths(prob)), ("the posterior (median record)", posterior)):
+        for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
             numbers = ", ".join(f"{name} {width:.3g}" for name, width in zip(STRESSES, widths, strict=True))
             lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {numbers}")
         middle = rows.groupby("stress")[["contraction", "contraction_shape"]].median().loc[list(STRESSES)]

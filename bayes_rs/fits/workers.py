@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from loky import ProcessPoolExecutor
 from threadpoolctl import threadpool_limits
 
+from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError, MissingExtraError, WorkerError
 
 _Part = TypeVar("_Part")
@@ -91,6 +92,35 @@ def run_processes(
             pool.shutdown(kill_workers=bool(running))  # who stops does not wait for what is not wanted any more
 
 
+def check_workers(workers: int, client: Any = None) -> None:
+    """Check who is to do the work, before any is done.
+
+    Raises
+    ------
+    InputError
+        If there are none, or the client cannot be used.
+    """
+    check_count(workers, what="workers")
+    if client is not None and not isinstance(client, str):
+        check_client(client)
+
+
+def done_parts(
+    work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part], workers: int, client: Any
+) -> Generator[_Done, None, None]:
+    """Do the parts, by whom the fit was told: this process, several, or a Dask cluster, itself or by its address."""
+    if client is None:
+        serial = workers == 1 or len(parts) < 2
+        yield from (
+            run_serial(work, shared, parts) if serial else run_processes(work, shared, parts, min(workers, len(parts)))
+        )
+    elif isinstance(client, str):
+        with connect(client) as connected:
+            yield from run_dask(work, shared, parts, connected)
+    else:
+        yield from run_dask(work, shared, parts, client)
+
+
 def check_client(client: Any) -> None:
     """Refuse a Dask client that cannot be used, before any work is done for it.
 
@@ -108,19 +138,19 @@ def check_client(client: Any) -> None:
 
 
 @contextmanager
-def connect(scheduler: str | None, *, timeout: float = 30.0) -> Iterator[Any]:
+def connect(scheduler: str, *, timeout: float = 30.0) -> Iterator[Any]:
     """Connect to the scheduler of a Dask cluster, and let it go at the end.
 
     Parameters
     ----------
-    scheduler : str or None
-        Its address, such as ``tcp://10.0.0.1:8786``; None for no cluster.
+    scheduler : str
+        Its address, such as ``tcp://10.0.0.1:8786``.
     timeout : float
         How long to wait for it, s.
 
     Yields
     ------
-    client : dask.distributed.Client or None
+    client : dask.distributed.Client
         The connection.
 
     Raises
@@ -130,9 +160,6 @@ def connect(scheduler: str | None, *, timeout: float = 30.0) -> Iterator[Any]:
     InputError
         If there is no scheduler at the address.
     """
-    if scheduler is None:
-        yield None
-        return
     try:
         distributed: Any = importlib.import_module("distributed")  # an optional package
     except ImportError as error:

@@ -83,7 +83,7 @@ class Scan:
     title, source : str
         What it is, and where the numbers come from.
     file_format : mapping
-        How this instrument's files name and sign things; see `read_radial_velocity`.
+        How this instrument's files name and sign things; see `bayes_rs.readers.FileOptions`.
     probe : Probe
         The probe volume of its beams; by default they see points.
 

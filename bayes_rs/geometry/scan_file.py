@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,12 @@ from pydantic import Field, ValidationError, field_validator
 
 from bayes_rs._validation import FloatArray, check_count
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_changes import split_changes
 from bayes_rs.models import find_model
+from bayes_rs.options import from_plain, nearest, options_of, to_plain
 from bayes_rs.toml_file import Size, Table, Text, first_fault, invalid_file, read_toml, shown
 
 MOST_BEAMS = 10_000
@@ -147,34 +150,13 @@ class _PulsedProbe(Table):
     pulse_length: Size | None = None
 
 
-class _FileFormat(Table):
-    """How this instrument's files name and sign things; the meaning of each key is in `read_radial_velocity`."""
-
-    columns: dict[str, str] = Field(default_factory=dict)
-    beam_numbers: dict[str, _Whole] = Field(default_factory=dict)
-    positive: Literal["away", "towards"] | None = None
-    velocity_unit: Literal["m/s", "km/h", "knot"] | None = None
-    invalid: list[float] | None = None
-    time_zone: str | None = None
-    separator: str | None = None
-    decimal: str | None = None
-    status_valid: int | None = None
-    time_format: str | None = None
-    time_stamp: Literal["start", "middle", "end"] | None = None
-    sample_duration: float | None = None
-    angle_tolerance_deg: float | None = None
-    range_tolerance: float | None = None
-    phase_zero_deg: float | None = None
-    phase_turns: Literal["up", "down"] | None = None
-
-
 class _ScanFile(Table):
     title: Text
     source: Text
     beams: Annotated[_ConeBeams | _RosetteBeams | _ListedBeams, Field(discriminator="pattern")]
     timing: _Timing
     mounting: _Mounting = _Mounting()
-    file: _FileFormat = _FileFormat()
+    file: dict[str, Any] = Field(default_factory=dict)
     probe: Annotated[_PointProbe | _ContinuousWaveProbe | _PulsedProbe, Field(discriminator="kind")] = _PointProbe(
         kind="point"
     )
@@ -201,6 +183,20 @@ def cone_direction(opening_angle: FloatArray | float, phase: FloatArray | float)
     """
     sine = np.sin(opening_angle)
     return np.stack(np.broadcast_arrays(-np.cos(opening_angle), np.cos(phase) * sine, np.sin(phase) * sine), axis=-1)
+
+
+def load_scan_text(text: str, *, name: str, **changes: Any) -> Scan:
+    """Load a scan from the text of a scan file; see `load_scan` for the changes.
+
+    Raises
+    ------
+    InputError
+        If the text is not that of a scan file, or a change does not apply.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "scan.toml"
+        file.write_text(text, encoding="utf-8")
+        return replace(load_scan(file, **changes), name=name)
 
 
 def load_scan(
@@ -281,7 +277,8 @@ def load_scan(
         | _other_beams(table, path, n_beams, centre),
         "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
     }
-    scan = _build(path.stem, _validate(table, path, {part: values for part, values in new.items() if values}))
+    spec = _validate(table, path, {part: values for part, values in new.items() if values})
+    scan = _build(path.stem, spec, _file_format(spec.file, path))
     return scan if probe is None else replace(scan, probe=as_probe(probe))
 
 
@@ -376,7 +373,23 @@ def _validate(table: dict[str, Any], path: Path, changes: dict[str, Any]) -> _Sc
         raise InputError(f"Invalid change of scan {path.stem!r}: {fault}.") from error
 
 
-def _build(name: str, spec: _ScanFile) -> Scan:
+def _file_format(table: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return what the table ``[file]`` says, checked and in one form."""
+    known = {entry.name: entry.type for entry in options_of(FileOptions) if entry.name not in OF_READING}
+    for name, value in table.items():
+        if name not in known:
+            hint = nearest(name, known) if len(name) < 100 else "remove it"
+            place = name if name.isprintable() and len(name) < 100 else shown(name)
+            raise InputError(f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}.")
+    try:
+        options = to_plain(from_plain(FileOptions, table, where="file"))
+    except InputError as error:
+        fault = str(error)
+        raise InputError(f"Invalid scan file {str(path)!r}: file: {fault[0].lower()}{fault[1:]}") from error
+    return {name: value for name, value in options.items() if name in table}
+
+
+def _build(name: str, spec: _ScanFile, file_format: dict[str, Any]) -> Scan:
     directions = spec.beams.directions()
     distances, own_times = _distances(name, spec.beams), _own_values(name, spec.beams, "time")
     n_beam, n_plane = len(directions), len(distances)
@@ -409,7 +422,7 @@ def _build(name: str, spec: _ScanFile) -> Scan:
         yaw=float(np.deg2rad(spec.mounting.yaw_deg)),
         title=spec.title,
         source=spec.source,
-        file_format=spec.file.model_dump(exclude_none=True),
+        file_format=file_format,
         probe=make_probe(**spec.probe.model_dump()),
     )
 
@@ -451,3 +464,24 @@ def _own_values(
 def _upward_direction(opening_angle: FloatArray, phase: FloatArray) -> FloatArray:
     sine = np.sin(opening_angle)
     return np.stack([np.cos(phase) * sine, np.sin(phase) * sine, np.cos(opening_angle)], axis=-1)
+
+
+def as_scan(scan: Scan | str | Path) -> Scan:
+    """Return the scan itself, or that of a name or file; see `load_scan`.
+
+    Parameters
+    ----------
+    scan : Scan, str or Path
+        The scan, its name in ``models/scans`` (with changes, as ``"6-beam@yaw_deg=10"``), or a TOML file.
+
+    Returns
+    -------
+    scan : Scan
+        The scan.
+
+    Examples
+    --------
+    >>> as_scan("6-beam").n_beam
+    6
+    """
+    return scan if isinstance(scan, Scan) else load_scan(scan)

@@ -13,7 +13,7 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.likelihoods.base import REFERENCE_STRESS, seen_directions
-from bayes_rs.noise.model import NoiseBank
+from bayes_rs.noise.noise import Noise
 from bayes_rs.turbulence.interpolation import combine
 
 LEAST_BEAMS = 16
@@ -52,7 +52,7 @@ class ReducedNoise:
 
     Parameters
     ----------
-    bank : NoiseBank
+    bank : Noise
         Bank whose states form a net, of beams that see points.
     gradients : sequence of str
         Gradients of R that may move the data besides; see `gradient_columns`.
@@ -71,7 +71,7 @@ class ReducedNoise:
     exact; between them the error is that of the interpolation, as it is for whole covariances.
     """
 
-    def __init__(self, bank: NoiseBank, gradients: tuple[str, ...] = ()) -> None:
+    def __init__(self, bank: Noise, gradients: tuple[str, ...] = ()) -> None:
         self.bank = bank
         self.direction = np.asarray(bank.scan_geometry["direction"], dtype=np.float64)
         level = design_matrix(self.direction)
@@ -81,26 +81,23 @@ class ReducedNoise:
             moved = np.concatenate([moved, columns / GRADIENT_LENGTH], axis=-1)
         left, seen = seen_directions(moved[None])
         self.left: FloatArray = np.ascontiguousarray(left[0][:, seen[0]])
-        logarithm = [np.log1p(model.covariance) for model in bank.models]
+        logarithm = np.log1p(bank.covariance)
         reduced = np.stack([self.left.T @ matrix @ self.left for matrix in logarithm])
         trace = np.einsum("sii->s", reduced)
         self._log_trace: FloatArray = np.log(trace)
         self._shape: FloatArray = reduced / trace[:, None, None]
-        self._log_diagonal: FloatArray = np.log(np.stack([np.diag(matrix) for matrix in logarithm]))
-        self._bias: FloatArray = np.stack([model.bias for model in bank.models])
+        self._log_diagonal: FloatArray = np.log(np.einsum("sbb->sb", logarithm))
+        self._bias: FloatArray = bank.bias
 
     @staticmethod
-    def suits(bank: object) -> bool:
+    def suits(bank: Noise) -> bool:
         """Tell whether a bank can be reduced: that of many points, in a net. Records must use every beam besides."""
         return (
-            isinstance(bank, NoiseBank)
-            and bank.net is not None
-            and bank.n_beam >= LEAST_BEAMS
-            and float(np.max(np.abs(bank.probe_change()))) < _POINTS
+            bank.net is not None and bank.n_beam >= LEAST_BEAMS and float(np.max(np.abs(bank.probe_change()))) < _POINTS
         )
 
     def for_records(self, wind_speed: ArrayLike, yaw: ArrayLike, **flow: ArrayLike) -> ReducedRecordNoise:
-        """Return the reduced noise of records; as `NoiseBank.for_records`."""
+        """Return the reduced noise of records; as `Noise.for_records`."""
         weights, angle, outside = self.bank.weights_for(wind_speed, yaw, **flow)
         scale = np.exp(combine(weights, self._log_trace))
         return ReducedRecordNoise(
@@ -113,6 +110,6 @@ class ReducedNoise:
 
 
 @lru_cache(maxsize=2)
-def reduced(bank: NoiseBank, gradients: tuple[str, ...] = ()) -> ReducedNoise:
+def reduced(bank: Noise, gradients: tuple[str, ...] = ()) -> ReducedNoise:
     """Return the reduced bank; that of the same bank and gradients is made once."""
     return ReducedNoise(bank, gradients)

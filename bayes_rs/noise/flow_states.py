@@ -12,8 +12,16 @@ from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError
 from bayes_rs.turbulence.interpolation import StateNet, combine, find_net, interpolate_covariance
 
-_EDGE = np.array([np.log(1.05), np.deg2rad(2.5), np.log(1.05), 0.1])
-"""Records no farther outside the states than this in ln U, yaw, ln L and Γ are not counted as outside."""
+REACH = np.array([np.log(1.1), np.deg2rad(3.5), np.log(1.1), 0.15])
+"""Steps in ln U, yaw, ln L and Γ that change the width of an interval by 5 % at most.
+
+A record is outside where its distances to the states, each over its step, add up to more than one. The width goes as
+the root of K's diagonal; over the shipped scans and 5 to 20 m/s, steps of 0.11 in ln U and in ln L change it by 5 %,
+and so do 5.5° and 0.21 in Γ at 15°, and 3.5° and 0.15 at 45° (``benchmarks/noise_reach.py``).
+"""
+
+
+_ROUNDING = 1e-9
 
 
 class Place(NamedTuple):
@@ -88,7 +96,8 @@ class FlowStates:
         """
         if self.net is None:
             raise InputError(
-                "The states of this noise bank form no net, so nothing can be interpolated: make one with theory_bank."
+                "The states of this noise form no net, so nothing can be interpolated: make one with "
+                "noise.calibrate(..., tolerance=0.01)."
             )
 
     def points(
@@ -120,25 +129,32 @@ class FlowStates:
 
     def place(self, points: FloatArray) -> Place:
         """Find where among the states the records at `points` are."""
-        coordinates = self.coordinates
-        low, high = np.min(coordinates, axis=0), np.max(coordinates, axis=0)
-        # several states have edges; how far records are from a single one is for the caller to say
-        outside = np.any((points < low - _EDGE) | (points > high + _EDGE), axis=1) & (len(coordinates) > 1)
         if self.net is not None:
             weights, used = self.net.weights(points)
-            return Place(used, np.exp(used[:, 0]), outside, weights, np.zeros(len(points), dtype=np.int64))
+            return Place(
+                used, np.exp(used[:, 0]), _outside(points - used), weights, np.zeros(len(points), dtype=np.int64)
+            )
+        coordinates = self.coordinates
         turn = np.angle(np.exp(1j * (points[:, 1:2] - coordinates[:, 1])))
         nearest = np.argmin((points[:, :1] - coordinates[:, 0]) ** 2 + turn**2, axis=1)
-        return Place(coordinates[nearest], self.wind_speed[nearest], outside, None, nearest)
+        away = points - coordinates[nearest]
+        away[:, 1] = turn[np.arange(len(points)), nearest]
+        return Place(coordinates[nearest], self.wind_speed[nearest], _outside(away), None, nearest)
+
+
+def _outside(away: FloatArray) -> NDArray[np.bool_]:
+    """Tell which distances (ln U, ψ, ln L, Γ) from the states, shape (n_record, 4), are too far."""
+    return np.asarray(np.abs(away) @ (1.0 / REACH) > 1.0 + _ROUNDING)
 
 
 def _of_records(given: ArrayLike | None, own: FloatArray, name: str, n_record: int) -> FloatArray:
-    """Return L or Γ of each record; that of the states, if they have but one."""
-    several = bool(np.ptp(own) > 0.0)
-    if given is None and several:
-        raise InputError(
-            f"This noise bank spans {name} {np.min(own):g} to {np.max(own):g}: give the {name} of the records, or "
-            "take the bank of one turbulence with at_turbulence."
-        )
-    values = np.broadcast_to(np.asarray(own[0] if given is None or not several else given), (n_record,))
-    return check_array(values, (None,), what=f"{name} of the records")
+    """Return L or Γ of each record; that of the states where it is not known and they have but one."""
+    if np.ptp(own) > 0.0:
+        if given is None:
+            raise InputError(
+                f"This noise spans {name} {np.min(own):g} to {np.max(own):g}: give the {name} of the records, or take "
+                "the noise of one turbulence with at_turbulence."
+            )
+        return check_array(np.broadcast_to(np.asarray(given), (n_record,)), (None,), what=f"{name} of the records")
+    values = np.broadcast_to(np.asarray(own[0] if given is None else given, dtype=np.float64), (n_record,))
+    return np.where(np.isfinite(values), values, own[0])

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.model import NoiseModel
-from bayes_rs.noise.probed import probed_covariance
-from bayes_rs.noise.sampling_times import samples_removed, samples_that_fit
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.theory.sampling_times import samples_removed, samples_that_fit
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace
@@ -31,7 +31,7 @@ def gap_noise(
     yaw: float | None = None,
     detrend: str = "mean",
     tolerance: float = 1e-4,
-) -> NoiseModel:
+) -> Noise:
     """Return the noise of a record's beam variances when samples are missing, by theory.
 
     Parameters
@@ -56,7 +56,7 @@ def gap_noise(
 
     Returns
     -------
-    noise : NoiseModel
+    noise : Noise
         Bias, gain and relative covariance. Its details are those of `theory_noise`, with ``samples``, the least and the
         largest number of samples of a beam, and ``gap_gain``, the smallest and the largest E s² of a beam relative to
         the record without gaps.
@@ -85,10 +85,11 @@ def gap_noise(
     --------
     Every second sample of a beam tells nearly as much as all of them, half of the record does not:
 
-    >>> from bayes_rs import load_scan, load_turbulence
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> from bayes_rs.turbulence.mann import load_turbulence
     >>> scan, flow = load_scan("staring"), load_turbulence("fu-2022")
     >>> every, second, half = [[True] * 600], [[True, False] * 300], [[True] * 300 + [False] * 300]
-    >>> [float(gap_noise(scan, flow, p, wind_speed=10.0).relative_error[0].round(3)) for p in (every, second, half)]
+    >>> [float(gap_noise(scan, flow, p, wind_speed=10.0).relative_error[0, 0].round(3)) for p in (every, second, half)]
     [0.258, 0.259, 0.334]
     """
     check_positive(wind_speed, what="wind_speed", unit="m/s")
@@ -97,7 +98,7 @@ def gap_noise(
     whole = theory_noise(
         scan, turbulence, wind_speed=wind_speed, duration=duration, yaw=yaw, detrend=detrend, tolerance=tolerance
     )
-    line_of_sight = scan.at_yaw(whole.yaw)
+    line_of_sight = scan.at_yaw(float(whole.yaw[0]))
     lengths = np.zeros(scan.n_beam) if whole.details.get("probe_as_points") else scan.probe_length
     count, n = np.count_nonzero(there, axis=1), there.shape[1]
     place = line_of_sight * scan.focus_distance[:, np.newaxis]
@@ -126,7 +127,7 @@ def gap_noise(
     relative[row, column] = 2.0 * inner / (count[row] * count[column] * mean[row] * mean[column])
     relative[column, row] = relative[row, column]
     nearest, negative_part = nearest_semidefinite(relative[np.newaxis])
-    ratio = mean / ((1.0 + whole.bias) * (whole.gain @ turbulence.stresses()))
+    ratio = mean / ((1.0 + whole.bias[0]) * (whole.gain[0] @ turbulence.stresses()))
     details = {
         "samples": [int(np.min(count)), int(np.max(count))],
         "gap_gain": [float(np.min(ratio)), float(np.max(ratio))],
@@ -135,7 +136,7 @@ def gap_noise(
     return replace(
         whole,
         gain=whole.gain * ratio[:, np.newaxis],
-        covariance=nearest[0],
+        covariance=nearest,
         details={**whole.details, **details},
     )
 

@@ -13,8 +13,7 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import make_probe
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.models import preset_names
-from bayes_rs.noise.bank import NoiseBank
-from bayes_rs.noise.model import Noise
+from bayes_rs.noise.noise import Noise
 
 _MOST_STATES = 16  # of wind speed and direction, evenly chosen by direction: their noise is made for the line
 
@@ -24,7 +23,7 @@ def probe_words(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike) -> str:
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         The noise.
     wind_speed : array_like, shape (n_record,)
         Mean wind speeds of the records, m/s; those that are not known are left out.
@@ -59,7 +58,7 @@ def probe_loss(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike) -> FloatArra
 
     Parameters
     ----------
-    noise : NoiseModel or NoiseBank
+    noise : Noise
         The noise.
     wind_speed, yaw : array_like, shape (n_record,)
         Mean wind speeds, m/s, and wind directions relative to the lidar axis, rad.
@@ -69,14 +68,11 @@ def probe_loss(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike) -> FloatArra
     loss : ndarray, shape (n_record, n_beam)
         1 − gain_b·R / n·R n, zero for points.
     """
-    if isinstance(noise, NoiseBank):
-        at = {
-            "length_scale": np.full(np.shape(wind_speed), float(np.median(noise.length_scale))),
-            "gamma": np.full(np.shape(wind_speed), float(np.median(noise.gamma))),
-        }
-        gain = noise.for_records(wind_speed, yaw, **at).gain
-    else:
-        gain = noise.for_records(wind_speed, yaw).gain
+    middle = {
+        "length_scale": np.full(np.shape(wind_speed), float(np.median(noise.length_scale))),
+        "gamma": np.full(np.shape(wind_speed), float(np.median(noise.gamma))),
+    }
+    gain = noise.for_records(wind_speed, yaw, **middle).gain
     direction = np.asarray(noise.scan_geometry["direction"], dtype=np.float64)
     stresses = noise.turbulence.stresses()
     points = design_matrix(direction @ yaw_matrix(np.asarray(yaw, dtype=np.float64)))

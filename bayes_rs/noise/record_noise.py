@@ -1,4 +1,4 @@
-"""What records get from a noise model: arrays along the records."""
+"""What records get from a noise: arrays along the records."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ class RecordNoise:
     covariance : ndarray, shape (n_record, n_beam, n_beam)
         Relative covariance K.
     wind_speed : ndarray, shape (n_record,)
-        Mean wind speed that the noise is for, m/s: the record's own where a bank interpolates, else the nearest
+        Mean wind speed that the noise is for, m/s: the record's own where states are interpolated, else the nearest
         calibrated one, or the nearest edge of the net.
     yaw : ndarray, shape (n_record,)
         Wind direction relative to the lidar axis that the noise is for, rad.
     state : ndarray of int, shape (n_record,)
-        Equal numbers mean equal noise: the number of the nearest state, or where a bank interpolates a number of the
-        wind speed and direction among those of these records.
+        Equal numbers mean equal noise: the number of the nearest state, or where states are interpolated a number of
+        the wind speed and direction among those of these records.
     outside : ndarray of bool, shape (n_record,)
-        Whether a record is outside the bank, so that its noise is that of the nearest edge or state.
+        Whether a record is farther from the states than `REACH`, so that the noise of the nearest edge or state, which
+        it gets, is not its own.
     negative_part : ndarray, shape (n_record,)
         See `interpolate_covariance`; 0 without interpolation.
     """
@@ -54,7 +55,7 @@ class SonicNoise:
     Parameters
     ----------
     covariance : ndarray, shape (n_record, 6, 6)
-        Covariance of L⁻¹ S L⁻ᵀ, see `NoiseModel`.
+        Covariance of L⁻¹ S L⁻ᵀ, see `Noise`.
     beam_covariance : ndarray, shape (n_record, 6, n_beam)
         Its covariance with the relative variances of the beams.
     state : ndarray of int, shape (n_record,)

@@ -1,1 +1,5 @@
-"""Figures: posteriors, stresses over time, comparisons of scans, spectra."""
+"""Figures: posteriors, stresses over time, Lumley's triangle, comparisons of scans, spectra."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

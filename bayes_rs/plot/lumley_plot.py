@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.result import check_result, group
-from bayes_rs.plot.plots import PRIOR_COLOUR, TRUTH_COLOUR, find_record, known_stresses
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.plot.style import PRIOR_COLOUR, TRUTH_COLOUR, known_stresses
 
 POINT_COLOUR = "#1f4e79"
 _MOST_DRAWS = 2000
 
 
-def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: ArrayLike | None = None) -> Figure:
+def lumley(fit: Fit, record: int | str | None = None, *, truth: ArrayLike | None = None) -> Figure:
     """Draw the anisotropy of the Reynolds stresses in Lumley's triangle.
 
     Parameters
     ----------
-    result : DataTree
-        From `fit`.
+    fit : Fit
+        From `fit` or `open_fit`; it kept its draws.
     record : int or str, optional
         Number of a record, or its start as ISO time (UTC), whose draws are shown; by default the medians of all
         records with the central 68 % of their draws.
@@ -38,7 +38,7 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: 
     Raises
     ------
     InputError
-        If the tree is not a result of `fit`, the record does not exist or was not fitted, or the truth has the wrong
+        If the fit kept no draws, the record does not exist or was not fitted, or the truth has the wrong
         shape or is not finite.
 
     Notes
@@ -46,9 +46,7 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: 
     6ξ³ = b_ij b_jk b_ki and 6η² = b_ij b_ji with b = R/(2k) − I/3; Pope (2000), Turbulent Flows, Sect. 11.3.2. Left of
     ξ = 0 two principal variances are larger than the third, right of it one is; on the upper border one is zero.
     """
-    check_result(result)
-    stress = group(result, "posterior")["stress"].transpose("record", "chain", "draw", "component").values
-    marks = None if truth is None else known_stresses(truth, len(stress))
+    marks = None if truth is None else known_stresses(truth, fit.n_record)
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axis = figure.subplots()
     xi = np.linspace(-1.0 / 6.0, 1.0 / 3.0, 201)
@@ -61,18 +59,17 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: 
     ):
         axis.annotate(words, place, (side[2], 4), textcoords="offset points", ha=side[0], va=side[1], fontsize=9)
     if record is None:
-        fitted = np.isfinite(stress).all(axis=(1, 2, 3))
-        _draw_records(axis, stress.reshape(len(stress), -1, stress.shape[-1])[fitted])
-        axis.set_title(f"{int(fitted.sum())} records: medians and central 68 %", fontsize=10)
-        shown = fitted
+        _draw_records(axis, _levels(fit))
+        axis.set_title(f"{fit.n_fitted} records: medians and central 68 %", fontsize=10)
+        shown = fit.fitted
     else:
-        index = find_record(result, record)
-        draws = stress[index].reshape(-1, stress.shape[-1])
+        index = fit.find_record(record)
+        draws = fit.draws(index).reshape(-1, len(STRESSES))
         step = max(1, len(draws) // _MOST_DRAWS)
         axis.plot(*lumley_coordinates(draws[::step]), ".", color=POINT_COLOUR, markersize=2, alpha=0.4)
         axis.plot(*(np.median(part) for part in lumley_coordinates(draws)), "o", color=PRIOR_COLOUR, label="median")
         axis.set_title(f"record {record}: draws of the posterior", fontsize=10)
-        shown = np.arange(len(stress)) == index
+        shown = np.arange(fit.n_record) == index
     if marks is not None:
         points = np.unique(marks[shown], axis=0)
         axis.plot(*lumley_coordinates(points), "s", color=TRUTH_COLOUR, markersize=5, label="truth", zorder=4)
@@ -85,9 +82,17 @@ def plot_lumley(result: xr.DataTree, record: int | str | None = None, *, truth: 
     return figure
 
 
-def _draw_records(axis: Axes, stress: FloatArray) -> None:
-    """Draw medians and bars of records, stresses (n_record, n_draw, 6)."""
-    levels = [np.quantile(part, (0.16, 0.5, 0.84), axis=1) for part in lumley_coordinates(stress)]
+def _levels(fit: Fit) -> FloatArray:
+    """Return the 16, 50 and 84 % points of ξ and η of the fitted records, shape (2, 3, n_record)."""
+    found = [
+        [np.quantile(part, (0.16, 0.5, 0.84), axis=1) for part in lumley_coordinates(draws.reshape(len(rows), -1, 6))]
+        for rows, draws in fit.batches()
+    ]
+    return np.concatenate([np.asarray(part) for part in found], axis=-1) if found else np.empty((2, 3, 0))
+
+
+def _draw_records(axis: Axes, levels: FloatArray) -> None:
+    """Draw medians and bars of records."""
     (left, x, right), (low, y, high) = levels
     axis.errorbar(  # lists: matplotlib 3.10 takes the array of one record for a number
         x,

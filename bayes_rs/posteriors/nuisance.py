@@ -14,40 +14,16 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.geometry.stress import rotate_stress
+from bayes_rs.options import described, option
 
 N_LENGTH_NODE = 5
 """Nodes of the Gauss–Hermite rule over ln L."""
 
 
+@described
 @dataclass(frozen=True, kw_only=True)
 class Nuisances:
     """Uncertain quantities that the posterior of R is averaged over; a zero (or an infinite `inflation_dof`) is off.
-
-    Parameters
-    ----------
-    yaw_sd_deg : float or str
-        Standard deviation of the error of a record's wind direction relative to the lidar, degrees; or ``"records"``,
-        the ``yaw_sd`` (record) of the records, as from `mean_wind` with a turbulence. A record whose own is 0 has a
-        known direction.
-    yaw_sd_missing_deg : float, optional
-        With ``"records"``, the standard deviation of records that have none, degrees, such as those whose direction
-        their beams do not see. By default such a record is refused.
-    tilt_sd_deg : float
-        Standard deviation of the error of the lidar's tilt, degrees.
-    instrument_noise_log_sd : float
-        Standard deviation of the logarithm of the instrument's noise variance; its median is the ``instrument_noise``
-        of `fit`, the same for all beams (of ``"records"``, the mean of those of a record's beams).
-    length_scale_log_sd : float
-        Standard deviation of ln L, the turbulence's length scale; needs a noise bank that spans several.
-    length_scale : float, optional
-        Median of L, m; by default the ``length_scale`` of each record.
-    inflation : float
-        Fixed factor of the covariance of the log-variances, above 1 for flow that is less Gaussian than the model.
-    inflation_dof : float
-        Degrees of freedom ν of an uncertain factor with the inverse-gamma distribution IG(ν/2, ν/2).
-    vertical_gradient_sd, lateral_gradient_sd : float
-        Standard deviation of the change of ln R over 100 m, upwards and along +y of the lidar's frame: 0.3 means that
-        the stresses change by up to about a third over 100 m. See the notes.
 
     Raises
     ------
@@ -57,6 +33,11 @@ class Nuisances:
 
     Notes
     -----
+    A zero (or an infinite `inflation_dof`) switches a quantity off. A record whose own ``yaw_sd`` is 0 has a known
+    direction; `mean_wind` with a turbulence gives records theirs. The instrument's noise is the same for all beams; of
+    noise that the records hold, its median is the mean of a record's beams. A gradient of 0.3 means that the stresses
+    change by up to about a third over 100 m. The uncertain factor has the inverse-gamma distribution IG(ν/2, ν/2).
+
     An error of yaw or tilt turns R, since n Q R Qᵀ nᵀ is the variance of the beam n Q; the noise stays that of the
     nominal direction. Yaw, tilt, the instrument's noise and the gradients are sampled as coordinates of their own,
     normal a priori. The errors of yaw are independent from record to record, and of the errors of the variances: in
@@ -78,16 +59,46 @@ class Nuisances:
     1
     """
 
-    yaw_sd_deg: float | str = 0.0
-    yaw_sd_missing_deg: float | None = None
-    tilt_sd_deg: float = 0.0
-    instrument_noise_log_sd: float = 0.0
-    length_scale_log_sd: float = 0.0
-    length_scale: float | None = None
-    inflation: float = 1.0
-    inflation_dof: float = np.inf
-    vertical_gradient_sd: float = 0.0
-    lateral_gradient_sd: float = 0.0
+    yaw_sd_deg: float | str = option(
+        0.0,
+        "Standard deviation of the error of a record's wind direction; or records, for each record's own yaw_sd: as it "
+        "holds it, else as its beams' means give it",
+        unit="degrees",
+        choices=("records",),
+        flag="--yaw-sd",
+    )
+    yaw_sd_missing_deg: float | None = option(
+        None,
+        "With records, the standard deviation for records that have none of their own; by default they are refused",
+        unit="degrees",
+        flag="--yaw-sd-missing",
+    )
+    tilt_sd_deg: float = option(
+        0.0, "Standard deviation of the error of the lidar's tilt", unit="degrees", flag="--tilt-sd"
+    )
+    instrument_noise_log_sd: float = option(
+        0.0,
+        "Standard deviation of the logarithm of the instrument's noise variance, whose median is the instrument noise",
+        flag="--instrument-noise-sd",
+    )
+    length_scale_log_sd: float = option(
+        0.0,
+        "Standard deviation of the logarithm of the turbulence's length scale; the noise must span several",
+        flag="--length-scale-sd",
+    )
+    length_scale: float | None = option(
+        None, "Median of the length scale; by default each record's own, else that of the turbulence", unit="m"
+    )
+    vertical_gradient_sd: float = option(
+        0.0, "Standard deviation of the change of the stresses' logarithm over 100 m upwards"
+    )
+    lateral_gradient_sd: float = option(
+        0.0, "Standard deviation of the change of the stresses' logarithm over 100 m along y of the lidar's frame"
+    )
+    inflation: float = option(1.0, "Factor of the noise's covariance, above 1 for flow that is less Gaussian")
+    inflation_dof: float = option(
+        np.inf, "Degrees of freedom of an uncertain factor of the noise's covariance; by default it is certain"
+    )
 
     def __post_init__(self) -> None:
         """Check the numbers."""

@@ -12,7 +12,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.likelihoods.log_normal import Likelihood, LogNormalLikelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
-from bayes_rs.noise.model import SonicNoise
+from bayes_rs.noise.record_noise import SonicNoise
 from bayes_rs.posteriors.nuisance import Seen
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling.chains import Chains, diagnose_stress

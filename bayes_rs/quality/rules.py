@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bayes_rs._validation import check_choice, check_count, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.options import described, option
 from bayes_rs.quality.sectors import Sector
 
 DESPIKE_RULES = ("median",)
@@ -20,59 +21,10 @@ Pair = tuple[float, float]
 Window = Pair | Mapping[int, Pair]
 
 
+@described
 @dataclass(frozen=True, kw_only=True)
 class QualityRules:
     """Which samples count, and which records are remarked on; every rule is off unless it is given.
-
-    Parameters
-    ----------
-    status_valid : float or sequence of float, optional
-        Statuses of a good sample; by default the one that the series was read with.
-    status_reject_bits : int, optional
-        Bits of the status of which a good sample has none.
-    masks : sequence of str
-        Variables of the series over its samples, as ``rain``: any value but zero marks a bad sample.
-    cnr_range, snr_range : tuple of float, or mapping of int to tuple, optional
-        Lowest and highest carrier-to-noise or signal-to-noise ratio of a good sample, dB; for all beams, or by the
-        numbers of some.
-    velocity_range : tuple of float, or mapping of int to tuple, optional
-        Lowest and highest radial velocity of a good sample, m/s, positive away; for all beams, or by number.
-    hard_target_cnr : float, optional
-        Carrier-to-noise ratio, dB, from which on a sample that hardly moves is taken for a hard target.
-    hard_target_speed : float
-        Largest |radial velocity| of a hard target, m/s.
-    blocked_sectors : mapping of str to sequence of (first, last)
-        Sectors without a free sight, degrees, of variables of the series: ``{"rotor_angle": [(350, 10)]}``. They run
-        upwards from first to last, ends included.
-    frozen_run : int, optional
-        Number of equal values in a row from which on a beam is taken to be frozen; all of them are dropped.
-    blade_threshold : float, optional
-        Robust standard deviations towards zero from the running median beyond which a sample is a blade's.
-    blade_window : int
-        Samples in that running median, odd.
-    blade_frequency : tuple of float, optional
-        Lowest and highest frequency, Hz, at which to look for blades among what was dropped; for the report.
-    despike : {"median"}, optional
-        Rule that drops spikes on both sides; see `make_records`.
-    despike_window : int
-        Samples in its running median, odd.
-    despike_threshold : float
-        Robust standard deviations from the running median beyond which a sample is a spike.
-    wind_sectors : mapping of int to sequence of (first, last)
-        By beam number, the wind directions (the records' ``yaw``, degrees) in which the beam is not used, as in the
-        wake of a mast.
-    sub_records : int
-        Parts of a record M for the checks on stationarity.
-    trend_level : float, optional
-        Level of the test for a trend, as 0.01.
-    sub_variance_limit : float, optional
-        Largest share of a record's variance that may lie between its parts, as 0.3.
-    half_ratio_limit : float, optional
-        Largest ratio between the variances of a record's halves, as 4.
-    min_wind_speed : float, optional
-        Mean wind speed, m/s, below which a record is remarked on.
-    exclude : sequence of {"not_stationary", "low_wind"}
-        Remarks that take a record out of the fit; it stays in the records, with all its beams flagged.
 
     Raises
     ------
@@ -81,7 +33,10 @@ class QualityRules:
 
     Notes
     -----
-    The formulas, and what each rule does to sound data, are in ``docs/quality.md``.
+    A range of carrier-to-noise ratios, signal-to-noise ratios or velocities is of all beams, or a mapping from the
+    numbers of some beams to their ranges. Sectors run upwards from first to last, ends included:
+    ``{"rotor_angle": [(350, 10)]}`` is 20 degrees wide. The formulas, and what each rule does to sound data,
+    are in ``docs/quality.md``.
 
     Examples
     --------
@@ -90,29 +45,67 @@ class QualityRules:
     {'cnr': 'cnr_range (-23.0, 0.0) dB'}
     """
 
-    status_valid: float | Sequence[float] | None = None
-    status_reject_bits: int | None = None
-    masks: Sequence[str] = ()
-    cnr_range: Window | None = None
-    snr_range: Window | None = None
-    velocity_range: Window | None = None
-    hard_target_cnr: float | None = None
-    hard_target_speed: float = 0.5
-    blocked_sectors: Mapping[str, Sequence[Sector]] = field(default_factory=dict)
-    frozen_run: int | None = None
-    blade_threshold: float | None = None
-    blade_window: int = 11
-    blade_frequency: Pair | None = None
-    despike: str | None = None
-    despike_window: int = 11
-    despike_threshold: float = 5.0
-    wind_sectors: Mapping[int, Sequence[Sector]] = field(default_factory=dict)
-    sub_records: int = 6
-    trend_level: float | None = None
-    sub_variance_limit: float | None = None
-    half_ratio_limit: float | None = None
-    min_wind_speed: float | None = None
-    exclude: Sequence[str] = ()
+    status_valid: float | Sequence[float] | None = option(
+        None, "Statuses of a good sample; by default the one that the series was read with", flag=""
+    )
+    status_reject_bits: int | None = option(None, "Bits of the status of which a good sample has none", flag="")
+    masks: Sequence[str] = option(
+        (), "Variables of the series over its samples, as rain: any value but zero marks a bad sample", flag=""
+    )
+    cnr_range: tuple[float, float] | Mapping[int, tuple[float, float]] | None = option(
+        None, "Lowest and highest carrier-to-noise ratio of a good sample", unit="dB", metavar="LOW HIGH"
+    )
+    snr_range: tuple[float, float] | Mapping[int, tuple[float, float]] | None = option(
+        None, "Lowest and highest signal-to-noise ratio of a good sample", unit="dB", flag="", metavar="LOW HIGH"
+    )
+    velocity_range: tuple[float, float] | Mapping[int, tuple[float, float]] | None = option(
+        None, "Lowest and highest radial velocity of a good sample, positive away", unit="m/s", metavar="LOW HIGH"
+    )
+    hard_target_cnr: float | None = option(
+        None, "Carrier-to-noise ratio from which on a sample that hardly moves is taken for a hard target", unit="dB"
+    )
+    hard_target_speed: float = option(0.5, "Largest radial speed of a hard target", unit="m/s", flag="")
+    blocked_sectors: Mapping[str, Sequence[tuple[float, float]]] = option(
+        {}, "Sectors without a free sight, of variables of the series as rotor_angle", unit="degrees", flag=""
+    )
+    frozen_run: int | None = option(None, "Drop runs of at least this many equal values")
+    blade_threshold: float | None = option(
+        None, "Drop samples that lie this many robust standard deviations towards zero from the running median"
+    )
+    blade_window: int = option(11, "Samples in that running median, odd", flag="")
+    blade_frequency: tuple[float, float] | None = option(
+        None,
+        "Lowest and highest frequency at which to look for blades among what was dropped, for the report",
+        unit="Hz",
+        metavar="LOW HIGH",
+    )
+    despike: str | None = option(
+        None, "Rule that drops spikes on both sides; see the Notes of make_records", choices=DESPIKE_RULES
+    )
+    despike_window: int = option(11, "Samples in its running median, odd", flag="")
+    despike_threshold: float = option(
+        5.0, "Robust standard deviations from the running median beyond which a sample is a spike", flag=""
+    )
+    wind_sectors: Mapping[int, Sequence[tuple[float, float]]] = option(
+        {},
+        "By beam number, the directions of the records' wind (yaw) in which a beam is not used, as in a mast's wake",
+        unit="degrees",
+        flag="",
+    )
+    sub_records: int = option(6, "Parts of a record for the checks on stationarity", flag="")
+    trend_level: float | None = option(
+        None, "Level of the test for a trend, as 0.01; a record that fails it is remarked on"
+    )
+    sub_variance_limit: float | None = option(
+        None, "Largest share of a record's variance that may lie between its parts, as 0.3"
+    )
+    half_ratio_limit: float | None = option(None, "Largest ratio between the variances of a record's halves, as 4")
+    min_wind_speed: float | None = option(None, "Mean wind speed below which a record is remarked on", unit="m/s")
+    exclude: Sequence[str] = option(
+        (),
+        "Remarks that take a record out of the fit; it stays in the records, with all its beams flagged",
+        choices=REMARKS,
+    )
 
     def __post_init__(self) -> None:
         """Check the options, and bring them into one form."""

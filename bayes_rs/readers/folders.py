@@ -12,7 +12,7 @@ from bayes_rs.readers.compressed import plain_suffix
 
 TEMPORARY_SUFFIXES = (".tmp", ".temp", ".part", ".partial", ".crdownload", ".filepart", ".swp", ".bak")
 UNFINISHED = (".partial-", ".replaced-")
-"""In the name of a folder that a run of ours was writing when it was stopped."""
+"""In the name of a folder that a run of ours was writing when it was stopped; the last ``-`` may be left out."""
 _WILD = "*?["
 
 
@@ -81,7 +81,7 @@ def find_files(files: str | Path | Sequence[str | Path], suffixes: Collection[st
 def _passed_over(relative: Path, suffixes: Collection[str]) -> str:
     if any(part.startswith(".") for part in relative.parts):
         return "hidden"
-    if any(mark in part for part in relative.parts[:-1] for mark in UNFINISHED):
+    if any(mark in f"{part}-" for part in relative.parts[:-1] for mark in UNFINISHED):
         return "temporary"
     name = relative.name
     if name.endswith("~") or name.startswith("~$") or relative.suffix.lower() in TEMPORARY_SUFFIXES:

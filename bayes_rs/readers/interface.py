@@ -20,7 +20,7 @@ class Reader:
     Parameters
     ----------
     name : str
-        What `bayes_rs.read_radial_velocity` calls it in ``file_format``.
+        What `bayes_rs.read` calls it in ``file_format``.
     title : str
         What it is, in a few words.
     source : str

@@ -13,10 +13,11 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import VELOCITY_UNITS
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import beams, numbers, times
-from bayes_rs.readers.format import VELOCITY_UNITS, FileFormat
+from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.e_windlidar import e_windlidar_rays, read_e_windlidar, recognises_e_windlidar
@@ -115,10 +115,21 @@ _ALL = (
 READERS: dict[str, Reader] = {reader.name: reader for reader in _ALL}
 """Every format by its name, the special ones before the general ones: the first that recognises a file reads it."""
 
+
+class _Formats:
+    """What the option file_format may be: auto, and the names of the readers that there are now."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(("auto", *READERS))
+
+
+FORMATS = _Formats()
+"""The values of the option file_format."""
+
 SUFFIXES = tuple(dict.fromkeys(suffix for reader in READERS.values() for suffix in reader.suffixes))
 
 
-def read_file(file: Path, scan: Scan, kind: str, options: Mapping[str, Any]) -> Samples:
+def read_file(file: Path, scan: Scan, options: FileOptions) -> Samples:
     """Read one file whole.
 
     Parameters
@@ -127,10 +138,8 @@ def read_file(file: Path, scan: Scan, kind: str, options: Mapping[str, Any]) -> 
         The file, also compressed.
     scan : Scan
         The scan that it was measured with.
-    kind : str
-        Name of its format, or ``auto``.
-    options : mapping
-        The options of `bayes_rs.read_radial_velocity`; None where not given.
+    options : FileOptions
+        How it is written.
 
     Returns
     -------
@@ -142,15 +151,15 @@ def read_file(file: Path, scan: Scan, kind: str, options: Mapping[str, Any]) -> 
     InputError
         If the file cannot be used.
     """
-    with _plain(file, kind) as (plain, named):
-        reader, file_format = _reader_of(plain, scan, kind, options)
+    with _plain(file, options.file_format) as (plain, named):
+        reader, file_format = _reader_of(plain, scan, options)
         return named(_with_status(reader.read(plain, scan, file_format), options))
 
 
-def read_pieces(file: Path, scan: Scan, kind: str, options: Mapping[str, Any], n_row: int) -> Iterator[Samples]:
+def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Iterator[Samples]:
     """Read one file about `n_row` rows at a time, or whole where its format cannot be read in pieces."""
-    with _plain(file, kind) as (plain, named):
-        reader, file_format = _reader_of(plain, scan, kind, options)
+    with _plain(file, options.file_format) as (plain, named):
+        reader, file_format = _reader_of(plain, scan, options)
         if reader.pieces is None:
             yield named(_with_status(reader.read(plain, scan, file_format), options))
         else:
@@ -158,13 +167,13 @@ def read_pieces(file: Path, scan: Scan, kind: str, options: Mapping[str, Any], n
                 yield named(_with_status(part, options))
 
 
-def _with_status(samples: Samples, options: Mapping[str, Any]) -> Samples:
+def _with_status(samples: Samples, options: FileOptions) -> Samples:
     """Return the samples; refuse those without a status if the caller says which status is good."""
-    valid = options.get("status_valid")
-    if valid is not None and samples.status is None:
+    if options.status_valid is not None and samples.status is None:
         raise InputError(
-            f"File {str(samples.file)!r} has no status, which status_valid={valid!r} is about: say what the file calls "
-            "it with columns={'status': 'its heading'} (--column status=HEADING), or leave status_valid out."
+            f"File {str(samples.file)!r} has no status, which status_valid={options.status_valid:g} is about: say "
+            "what the file calls it with columns={'status': 'its heading'} (--column status=HEADING), or leave "
+            "status_valid out."
         )
     return samples
 
@@ -189,16 +198,15 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
             raise InputError(str(error).replace(repr(str(plain)), repr(str(file)))) from error
 
 
-def _reader_of(file: Path, scan: Scan, kind: str, options: Mapping[str, Any]) -> tuple[Reader, FileFormat]:
-    reader = _find(file, scan, options) if kind == "auto" else READERS[kind]
+def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, FileFormat]:
+    reader = _find(file, scan, options) if options.file_format == "auto" else READERS[options.file_format]
     own = reader.own_options(file) if reader.own_options is not None else None
     if own is None:
         return reader, resolve_format(options, scan, defaults=reader.defaults)
-    given = {key: value for key, value in options.items() if value is not None}
-    return reader, resolve_format({**own, **given}, None, defaults=reader.defaults)
+    return reader, resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
 
 
-def _find(file: Path, scan: Scan, options: Mapping[str, Any]) -> Reader:
+def _find(file: Path, scan: Scan, options: FileOptions) -> Reader:
     suffix = plain_suffix(file)
     for reader in READERS.values():
         if suffix in reader.suffixes:

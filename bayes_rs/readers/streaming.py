@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from bayes_rs._validation import check_count, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.folders import find_files
-from bayes_rs.readers.options import ReadOptions, split_options
-from bayes_rs.readers.registry import READERS, SUFFIXES, read_pieces
+from bayes_rs.readers.reading import checked_options
+from bayes_rs.readers.registry import SUFFIXES, read_pieces
 from bayes_rs.readers.samples import (
     FilesReport,
     Samples,
@@ -36,22 +38,22 @@ _EVER = np.datetime64(np.iinfo(np.int64).min // 2, "ns")
 _NEVER = np.datetime64(np.iinfo(np.int64).max, "ns")
 
 
-def stream_radial_velocity(
+def stream(
     files: str | Path | Sequence[str | Path],
-    scan: Scan,
+    scan: str | Path | Scan,
     *,
     chunk_rows: int = 500_000,
     period: float | None = None,
-    **options: Unpack[ReadOptions],
+    **options: Any,
 ) -> Iterator[xr.Dataset]:
     r"""Read a lidar's radial velocities piece by piece, in the order of time.
 
     Parameters
     ----------
     files : str, Path or sequence of them
-        As for `read_radial_velocity`; they may overlap, and are taken in the order of their first times.
-    scan : Scan
-        The scan that the files were measured with.
+        As for `read`; they may overlap, and are taken in the order of their first times.
+    scan : Scan, str or Path
+        The scan that the files were measured with, or its name or file.
     chunk_rows : int
         Rows of a text or Parquet file that are read at a time. A NetCDF file, or another that holds rays, is read
         whole.
@@ -59,20 +61,20 @@ def stream_radial_velocity(
         If given, in seconds, a series ends only at a whole multiple of it since 1970-01-01 00:00 UTC, so that no
         record of this duration is torn.
     **options
-        The keywords of `read_radial_velocity`, with the same meaning.
+        How the files are written, as for `read`: the fields of `bayes_rs.readers.FileOptions`.
 
     Returns
     -------
     chunks : iterator of xarray.Dataset
-        Series as `read_radial_velocity` returns them, with the same attributes. No sample of a series is earlier than
-        one of the series before it; put together they are what `read_radial_velocity` returns. The counts in
+        Series as `read` returns them, with the same attributes. No sample of a series is earlier than
+        one of the series before it; put together they are what `read` returns. The counts in
         ``attrs["read_report"]`` are those of the rows that a series brings in, so that they add up. With
         ``on_bad_file="skip"`` what a file gave before its fault stays in the stream.
 
     Raises
     ------
     InputError
-        As `read_radial_velocity`; and if a file is so far from the order of time that a sample comes more than a
+        As `read`; and if a file is so far from the order of time that a sample comes more than a
         minute after later ones in the rows read before it.
 
     Notes
@@ -84,22 +86,22 @@ def stream_radial_velocity(
     Examples
     --------
     >>> import tempfile
-    >>> from bayes_rs.geometry.scan_file import load_scan
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "day.csv"
     ...     rows = [f"2020-09-03T19:{minute:02d}:00,0,-{minute}\n" for minute in range(4)]
     ...     _ = file.write_text("time,beam,radial_velocity\n" + "".join(rows))
-    ...     pieces = stream_radial_velocity(file, load_scan("staring"), chunk_rows=2, period=60.0)
+    ...     pieces = stream(file, "staring", chunk_rows=2, period=60.0)
     ...     [series["radial_velocity"].values.tolist() for series in pieces]
     [[0.0, -1.0], [-2.0, -3.0]]
     """
-    kind, on_bad_file, of_file = split_options(options, tuple(READERS), scan)
+    of_scan = as_scan(scan)
+    chosen = checked_options(options, of_scan)
     n_row = check_count(chunk_rows, what="chunk_rows")
     window = None if period is None else round(check_positive(period, what="period", unit="s") * 1e9)
     if window == 0:
         raise InputError(f"Invalid period {period!r} s: it must be at least a nanosecond.")
     found = find_files(files, SUFFIXES)
-    merged = _Merge(scan, kind, on_bad_file, of_file, n_row, dict(found.passed_over))
+    merged = _Merge(of_scan, chosen, n_row, dict(found.passed_over))
     return merged.series(found.paths, window)
 
 
@@ -119,9 +121,7 @@ class _Merge:
     """The state of one stream."""
 
     scan: Scan
-    kind: str
-    on_bad_file: str
-    options: dict[str, Any]
+    options: FileOptions
     n_row: int
     passed_over: dict[str, int]
     held: list[Samples] = field(default_factory=list)
@@ -160,7 +160,7 @@ class _Merge:
         firsts = []
         for file in paths:
             try:
-                pieces = read_pieces(file, self.scan, self.kind, self.options, _PEEK)
+                pieces = read_pieces(file, self.scan, self.options, _PEEK)
                 part = next(pieces)
                 is_whole = next(pieces, None) is None
             except InputError as error:
@@ -174,7 +174,7 @@ class _Merge:
     def _pieces(self, file: Path) -> Iterator[Samples]:
         if file in self.kept:
             return iter([self.kept.pop(file)])
-        return read_pieces(file, self.scan, self.kind, self.options, self.n_row)
+        return read_pieces(file, self.scan, self.options, self.n_row)
 
     def _advance(self, source: _Source) -> bool:
         """Read the next piece of a file; False at its end."""
@@ -238,6 +238,6 @@ class _Merge:
         return join_samples(ready, self.scan, report=report)
 
     def _skip(self, file: Path, error: InputError) -> None:
-        if self.on_bad_file == "error":
+        if self.options.on_bad_file == "error":
             raise error
         self.skipped.append({"name": file.name, "reason": str(error)})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +14,10 @@ from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.options import from_plain
 from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
@@ -47,16 +49,15 @@ def find_scan(
     tolerance_deg: float = 1.0,
     min_share: float = 0.2,
     name: str | None = None,
-    file_format: str = "auto",
-    options: Mapping[str, Any] | None = None,
     probe: Probe | None = None,
+    **options: Any,
 ) -> Scan:
     r"""Make the scan that files of rays were measured with, from the rays' own directions and times.
 
     Parameters
     ----------
     files : str, Path or sequence of them
-        Files, folders or patterns, as for `read_radial_velocity`, in a format whose rays carry azimuth and elevation.
+        Files, folders or patterns, as for `read`, in a format whose rays carry azimuth and elevation.
     height : float or sequence of float, optional
         Wanted height above the lidar, m: each beam gets the gate nearest to it. Several give a plane of beams each.
     distance : float or sequence of float, optional
@@ -68,12 +69,11 @@ def find_scan(
         on its way.
     name : str, optional
         Name of the scan; that of the first file if not given.
-    file_format : {"auto", "halo", "spinnerlidar", "windcube", "e-windlidar"}
-        Format of the files; by what is in them if not given.
-    options : mapping, optional
-        Options of `read_radial_velocity` to read the files with, such as ``{"invalid": -9999}``.
     probe : Probe, optional
         The probe volume of the beams, as `make_probe` returns it; none if not given.
+    **options
+        How the files are written, as for `read`: the fields of `bayes_rs.readers.FileOptions`, as
+        ``invalid=-9999``.
 
     Returns
     -------
@@ -122,10 +122,11 @@ def find_scan(
     share = check_finite(min_share, what="min_share", unit="")
     if not 0.0 <= share <= 1.0:
         raise InputError(f"Invalid min_share {min_share!r}: it must be from 0 to 1.")
-    check_choice(file_format, ("auto", *RAY_READERS), what="file_format")
+    asked = from_plain(FileOptions, options, where="the options of reading")
+    check_choice(asked.file_format, ("auto", *RAY_READERS), what="file_format")
     suffixes = [suffix for reader in RAY_READERS.values() for suffix in reader.suffixes]
     paths = find_files(files, suffixes).paths
-    parts = [_rays(path, file_format, options or {}) for path in paths]
+    parts = [_rays(path, asked) for path in paths]
     time, direction, gates = _join(parts)
     found = _directions(direction, tolerance, paths)
     most = max(len(group.rays) for group in found)
@@ -170,7 +171,8 @@ def _wanted(
     return goals, what
 
 
-def _rays(path: Path, kind: str, options: Mapping[str, Any]) -> Rays:
+def _rays(path: Path, options: FileOptions) -> Rays:
+    kind = options.file_format
     nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
     with plain_file(path) as plain:
         try:

@@ -14,6 +14,7 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, plain_file, unreadable
 from bayes_rs.readers.entries import numbers, times
@@ -293,15 +294,15 @@ def _statistics(
         )
     headings = _line(file, skip)
     with_semicolon = headings.count(";") > headings.count(",")
-    options = {
-        "separator": ";" if with_semicolon else ",",
-        "decimal": "," if with_semicolon else ".",
-        "invalid": invalid,
-        "time_zone": time_zone or _zone(first),
-        "columns": {"time": "Time and Date"},
-        "time_format": time_format,
-    }
-    file_format = resolve_format(options, None)
+    written = FileOptions(
+        separator=";" if with_semicolon else ",",
+        decimal="," if with_semicolon else ".",
+        invalid=invalid,
+        time_zone=time_zone or _zone(first),
+        columns={"time": "Time and Date"},
+        time_format=time_format,
+    )
+    file_format = resolve_format(written, None)
     table = open_table(file, file_format, skip=skip)
     if not table.has("time"):
         raise table.missing("time")
@@ -315,8 +316,7 @@ def _statistics(
     (frame, _), *_rest = table.pieces(wanted, text=["Time and Date"])
     column = table.column(frame, "time", "Time and Date")
     if time_format is None:
-        options["time_format"] = _time_format(column.values)
-        file_format = resolve_format(options, None)
+        file_format = resolve_format(replace(written, time_format=_time_format(column.values)), None)
     time, _ = times(column, file_format)
     heights = np.array(sorted(height), dtype=np.float64)
     variables: dict[str, Any] = {}

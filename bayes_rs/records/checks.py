@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.quality import BeamSamples, BoolArray, Filtered, QualityRules, find_periodicity, in_sectors
+from bayes_rs.quality.filtering import Filtered
+from bayes_rs.quality.periodicity import find_periodicity
+from bayes_rs.quality.rules import QualityRules
+from bayes_rs.quality.samples import BeamSamples, BoolArray
+from bayes_rs.quality.sectors import in_sectors
 from bayes_rs.quality.stationarity import beam_median, half_ratio, parts_of_records, share_between_parts, trend
 
 BLADE_EVENTS = ("missing", "status", "cnr", "snr", "velocity", "hard_target", "blade")

@@ -47,7 +47,7 @@ def whole_report(
     skipped: Sequence[Mapping[str, str]],
     passed_over: Mapping[str, int],
 ) -> dict[str, Any]:
-    """Return the report as `read_radial_velocity` gives it of all files together.
+    """Return the report as `read` gives it of all files together.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import xarray as xr
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.quality import BeamSamples, IntArray
+from bayes_rs.quality.samples import BeamSamples, IntArray
 
 OPTIONAL_COLUMNS = ("cnr", "status")
 """Variables that are taken along if the series has them."""
@@ -77,15 +77,11 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
     """
     for name in ("radial_velocity", "time", "beam"):
         if name not in series.variables or series[name].dims != ("sample",):
-            raise InputError(
-                f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read_radial_velocity."
-            )
+            raise InputError(f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read.")
     if series.sizes["sample"] == 0:
         raise InputError("Invalid series: it holds no sample; give files with samples.")
     if not np.issubdtype(series["time"].dtype, np.datetime64) or bool(np.isnat(series["time"].values).any()):
-        raise InputError(
-            "Invalid series: every time must be a UTC time of type datetime64; make it with read_radial_velocity."
-        )
+        raise InputError("Invalid series: every time must be a UTC time of type datetime64; make it with read.")
     number = np.asarray(series["beam"].values)
     present = np.unique(number)
     for beam in present:

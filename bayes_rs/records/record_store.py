@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import logging
 import lzma
-import os
 import time
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,21 @@ import pyarrow as pa
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.output import write_netcdf
 from bayes_rs.progress import progress_counter
-from bayes_rs.quality import IntArray
+from bayes_rs.quality.rules import QualityRules
+from bayes_rs.quality.samples import IntArray
 from bayes_rs.readers.compressed import NOT_THE_FILE
-from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.folders import FoundFiles, find_files
 from bayes_rs.readers.registry import SUFFIXES
-from bayes_rs.readers.streaming import stream_radial_velocity
+from bayes_rs.readers.streaming import stream
 from bayes_rs.records.read_counts import add_report, whole_report
+from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
+from bayes_rs.result_folder import ResultFolder
 
 CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
@@ -36,7 +42,10 @@ SAVE_SECONDS = 20.0
 """Reading that is lost at most, beside that of one file, when a run is interrupted."""
 _PEEK = 1000
 _HEAD = 65_536  # bytes
-_STATE = "state.npz"
+_STATE = "records/state.npz"
+_TRIES = 2
+"""Times that all files are read at most, if what was kept of them is found damaged at the end."""
+_LOG = logging.getLogger(__name__)
 _UNREADABLE = (
     ValueError,
     OSError,
@@ -87,13 +96,15 @@ class _Progress:
 
 def store_records(
     files: str | Path | Sequence[str | Path],
-    scan: Scan,
-    folder: Path,
+    scan: str | Path | Scan,
+    folder: ResultFolder,
     *,
-    reading: Mapping[str, Any] | None = None,
-    chunk_rows: int | None = None,
+    reading: FileOptions | None = None,
+    quality: QualityRules | None = None,
+    chunk_rows: int = CHUNK_ROWS,
     lateness: float | None = None,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
+    say: Callable[[str], None] = _LOG.warning,
     **options: Any,
 ) -> StoredRecords:
     """Make records of any number of files; what is finished is kept in a folder, and not done again.
@@ -101,21 +112,26 @@ def store_records(
     Parameters
     ----------
     files : str, Path or sequence of them
-        Files, folders and patterns, as for `stream_radial_velocity`.
-    scan : Scan
-        The scan they were measured with.
-    folder : Path
-        Where parts of the records are kept; of the same scan and options, if it exists.
-    reading : dict, optional
-        Options of `stream_radial_velocity`.
-    chunk_rows : int, optional
+        Files, folders and patterns, as for `bayes_rs.readers.stream`.
+    scan : Scan, str or Path
+        The scan they were measured with, or its name or file.
+    folder : ResultFolder
+        The folder of results, which keeps parts of the records below ``records``; of the same scan and options.
+    reading : FileOptions, optional
+        How the files are written. With ``on_bad_file="skip"`` a file that cannot be used counts for nothing, and is
+        named in the report; otherwise it is refused.
+    quality : QualityRules, optional
+        As for `make_records`.
+    chunk_rows : int
         Rows that are read at a time; memory, not the result, depends on it.
     lateness : float, optional
         As for `stream_records`; files may also overlap by so much, s.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
+    say : callable
+        Takes a line that says why what the folder keeps is not used; by default it is logged as a warning.
     **options
-        Those of `make_records`.
+        As for `make_records`: the fields of `bayes_rs.records.RecordOptions`.
 
     Returns
     -------
@@ -125,64 +141,114 @@ def store_records(
     Raises
     ------
     InputError
-        If no file can be used, or one that an earlier run has read is gone or was changed.
+        If a file cannot be used and is not to be skipped, no file can be used, or one that an earlier run has read is
+        gone or was changed.
 
     Notes
     -----
     Files are taken in the order of their first samples; those that overlap by more than `lateness` are read side by
     side. A file with an error anywhere counts for nothing, so that no number depends on how it is cut into chunks.
+
+    Each part of the records, and the state that counts the parts, has a fingerprint in the folder's list. If one does
+    not fit, all files are read again.
     """
     found = find_files(files, SUFFIXES)
-    paths = found.paths
-    given = dict(reading or {})
-    given.pop("on_bad_file", None)
-    folder.mkdir(parents=True, exist_ok=True)
-    for leftover in folder.glob(".[0-9]*"):  # what an interrupted run had half written
-        leftover.unlink()
-    done = _load(folder)
-    _check_unchanged(paths, done)
+    asked = _Asked(
+        as_scan(scan),
+        reading or FileOptions(),
+        {"quality": quality, **options},
+        record_options(options),
+        lateness,
+        chunk_rows,
+    )
+    done = _load(folder, say)
+    for name in set(folder.names("records/part-")) - {_part(index) for index in range(done.n_part)}:
+        folder.remove(name)  # what no state counts: it is made again
+    _check_unchanged(found.paths, done)
+    n_resumed = sum(_name(path) in done.files for path in found.paths)
+    for _ in range(_TRIES):
+        done = _read_left(found.paths, asked, folder, done, progress)
+        try:
+            parts = [_open(folder, index) for index in range(done.n_part)]
+            break
+        except InputError:
+            say(f"A part of the records in {str(folder.path)!r} was damaged meanwhile: all files are read again.")
+        done, n_resumed = _Progress(), 0
+    else:
+        raise InputError(
+            f"The records in {str(folder.path)!r} do not stay as they were written: check the disk, or give another "
+            "folder."
+        )
+    records = join_blocks(parts, done.state, asked.scan, **asked.making)
+    if done.read:
+        records = records.assign_attrs(read_report=json.dumps(_read_report(found, asked.scan, done)))
+    return StoredRecords(records, dict(done.bad), len(found.paths), n_resumed, dict(done.read.get("counts", {})))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the records of files are made with."""
+
+    scan: Scan
+    reading: FileOptions
+    making: Mapping[str, Any]
+    """Keywords of `make_records`."""
+    records: RecordOptions
+    lateness: float | None
+    chunk_rows: int
+
+    @property
+    def of_files(self) -> dict[str, Any]:
+        """Keywords of `stream`: it stops at a bad file, whatever is then to be done with it."""
+        return {**self.reading.given(), "on_bad_file": "error"}
+
+    @property
+    def skips(self) -> bool:
+        """Whether a file that cannot be used counts for nothing."""
+        return self.reading.on_bad_file == "skip"
+
+
+def _read_left(
+    paths: Sequence[Path], asked: _Asked, folder: ResultFolder, done: _Progress, progress: bool | None
+) -> _Progress:
+    """Read the files that are not yet read; what was made of them is kept, also if that is broken off."""
+    if done.bad and not asked.skips:
+        raise InputError(next(iter(done.bad.values())))
     left = [path for path in paths if _name(path) not in done.files]
-    n_resumed = len(paths) - len(left)
     try:
-        done = _read_all(left, scan, folder, done, given, chunk_rows or CHUNK_ROWS, lateness, options, show_progress)
+        done = _read_all(left, asked, folder, done, progress)
     except BaseException as error:
         error.add_note(
-            f"What was made of the files so far is kept in {str(folder)!r}: the same call with resume goes on from it."
+            f"What was made of the files so far is kept in {str(folder.path)!r}: the same call with resume goes on "
+            "from it."
         )
         raise
     if len(done.bad) == len(paths):
         first = next(iter(done.bad.values()))
         raise InputError(f"None of the {len(paths)} files can be used; the first: {first}")
-    parts = [_open(_part(folder, index)) for index in range(done.n_part)]
-    records = join_blocks(parts, done.state, scan, **options)
-    if done.read:
-        bad = [path for path in paths if _name(path) in done.bad]
-        report = whole_report(
-            done.read,
-            scan,
-            order=[_name(path) for path in paths],
-            skipped=[{"name": path.name, "reason": done.bad[_name(path)]} for path in bad],
-            passed_over=found.passed_over,
-        )
-        records = records.assign_attrs(read_report=json.dumps(report))
-    return StoredRecords(records, dict(done.bad), len(paths), n_resumed, dict(done.read.get("counts", {})))
+    return done
+
+
+def _read_report(found: FoundFiles, scan: Scan, done: _Progress) -> dict[str, Any]:
+    """Return the report as `read` gives it of all files together."""
+    return whole_report(
+        done.read,
+        scan,
+        order=[_name(path) for path in found.paths],
+        skipped=[
+            {"name": path.name, "reason": done.bad[_name(path)]} for path in found.paths if _name(path) in done.bad
+        ],
+        passed_over=found.passed_over,
+    )
 
 
 def _read_all(
-    left: Sequence[Path],
-    scan: Scan,
-    folder: Path,
-    done: _Progress,
-    given: Mapping[str, Any],
-    chunk_rows: int,
-    lateness: float | None,
-    options: Mapping[str, Any],
-    show_progress: bool | None,
+    left: Sequence[Path], asked: _Asked, folder: ResultFolder, done: _Progress, progress: bool | None
 ) -> _Progress:
     """Read the files that are left, and save what comes of it every now and then."""
-    wait = np.timedelta64(round((float(options.get("duration", 600.0)) if lateness is None else lateness) * 1e9), "ns")
-    done, queue = _by_first_time(left, scan, given, done)
-    silent = None if show_progress is None else not show_progress
+    wait = np.timedelta64(asked.records.window if asked.lateness is None else round(float(asked.lateness) * 1e9), "ns")
+    done, queue = _by_first_time(left, asked, done)
+    silent = None if progress is None else not progress
     blocks: list[xr.Dataset] = []
     n_byte = {path: path.stat().st_size for path in left}
     saved = time.monotonic()
@@ -193,9 +259,9 @@ def _read_all(
                 after = queue[0][0] + wait if queue else None
                 keys = {path: _key(path) for path in group}  # before they are read: they may grow
                 try:
-                    read = _read(group, scan, done, given, chunk_rows, after, lateness, options)
+                    read = _read(group, asked, done, after)
                 except _UNREADABLE as error:
-                    bad = _bad_one(group, error, scan, given)
+                    bad = _bad_one(group, error, asked)
                     done = _with(done, {bad: keys[bad]}, bad={_name(bad): _in_words(error)})
                     bar.update(n_byte[bad])
                     group.remove(bad)
@@ -210,45 +276,43 @@ def _read_all(
                 bar.update(sum(n_byte[path] for path in group))
                 break
             if time.monotonic() - saved >= SAVE_SECONDS:
-                done, blocks = _save(folder, done, blocks, scan, options), []
+                done, blocks = _save(folder, done, blocks, asked), []
                 saved = time.monotonic()
-    return _save(folder, done, blocks, scan, options)
+    return _save(folder, done, blocks, asked)
 
 
 def _read(
-    group: Sequence[Path],
-    scan: Scan,
-    done: _Progress,
-    reading: Mapping[str, Any],
-    chunk_rows: int,
-    after: np.datetime64 | None,
-    lateness: float | None,
-    options: Mapping[str, Any],
+    group: Sequence[Path], asked: _Asked, done: _Progress, after: np.datetime64 | None
 ) -> tuple[_Progress, list[xr.Dataset]] | np.datetime64:
     """Add files to the stream; or, if they reach beyond `after`, return how far, and nothing is added."""
     state, read, blocks = done.state, done.read, []
     names = {path.name: _name(path) for path in reversed(group)}
-    for chunk in stream_radial_velocity(group, scan, chunk_rows=chunk_rows, **reading):
+    for chunk in stream(group, asked.scan, chunk_rows=asked.chunk_rows, **asked.of_files):
         latest = chunk["time"].values.max()
         if after is not None and latest > after:
             return np.datetime64(latest)
         if "read_report" in chunk.attrs:
             read = add_report(read, json.loads(chunk.attrs["read_report"]), names)
-        state, block = add_chunk(state, chunk, scan, lateness=lateness, **options)
+        state, block = add_chunk(state, chunk, asked.scan, lateness=asked.lateness, **asked.making)
         blocks += [] if block is None else [block]
     return replace(done, state=state, read=read), blocks
 
 
-def _bad_one(group: Sequence[Path], error: BaseException, scan: Scan, reading: Mapping[str, Any]) -> Path:
-    """Return the file of a group that an error is about."""
+def _bad_one(group: Sequence[Path], error: BaseException, asked: _Asked) -> Path:
+    """Return the file of a group that an error is about, if it is one to be skipped; else raise the error."""
     if isinstance(error, OSError) and error.errno in NOT_THE_FILE:
         raise error
+    if not asked.skips:
+        if isinstance(error, InputError):
+            raise error
+        names = ", ".join(repr(str(path)) for path in group)
+        raise InputError(f"File {names} cannot be used: {_in_words(error)}") from error
     for path in group:
         if len(group) == 1 or str(path) in str(error):
             return path
     for path in group:
         try:
-            for _ in stream_radial_velocity(path, scan, **reading):
+            for _ in stream(path, asked.scan, **asked.of_files):
                 pass
         except _UNREADABLE:
             return path
@@ -256,15 +320,15 @@ def _bad_one(group: Sequence[Path], error: BaseException, scan: Scan, reading: M
 
 
 def _by_first_time(
-    paths: Sequence[Path], scan: Scan, reading: Mapping[str, Any], done: _Progress
+    paths: Sequence[Path], asked: _Asked, done: _Progress
 ) -> tuple[_Progress, list[tuple[np.datetime64, Path]]]:
     firsts = []
     for path in paths:
         key = _key(path)
         try:
-            chunk = next(stream_radial_velocity(path, scan, chunk_rows=_PEEK, **reading))
+            chunk = next(stream(path, asked.scan, chunk_rows=_PEEK, **asked.of_files))
         except _UNREADABLE as error:
-            bad = _bad_one([path], error, scan, reading)
+            bad = _bad_one([path], error, asked)
             done = _with(done, {bad: key}, bad={_name(bad): _in_words(error)})
         else:
             firsts.append((chunk["time"].values.min(), path))
@@ -316,58 +380,55 @@ def _check_unchanged(paths: Sequence[Path], done: _Progress) -> None:
             )
 
 
-def _part(folder: Path, index: int) -> Path:
-    return folder / f"part-{index:06d}.nc"
+def _part(index: int) -> str:
+    return f"records/part-{index:06d}.nc"
 
 
-def _open(file: Path) -> xr.Dataset:
-    return xr.load_dataset(file, engine="h5netcdf").drop_encoding()
+def _open(folder: ResultFolder, index: int) -> xr.Dataset:
+    return xr.load_dataset(io.BytesIO(folder.read(_part(index))), engine="h5netcdf").drop_encoding()
 
 
-def _save(folder: Path, done: _Progress, blocks: list[xr.Dataset], scan: Scan, options: Mapping[str, Any]) -> _Progress:
+def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked: _Asked) -> _Progress:
     """Write the new records as one part, then the state that counts it: a part without it is written again."""
     if blocks:
         empty: IntArray = np.empty(0, dtype=np.int64)
         columns = {name: values[:0] for name, values in done.state.columns.items()}
         closed = replace(done.state, time=empty, beam=empty, columns=columns)
-        part = join_blocks(blocks, closed, scan, **options)
-        _whole(_part(folder, done.n_part), lambda file: write_netcdf(part, file))
+        part = join_blocks(blocks, closed, asked.scan, **asked.making)
+        folder.write(_part(done.n_part), lambda file: write_netcdf(part, file))
         done = replace(done, n_part=done.n_part + 1)
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}
-    meta = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
+    meta: dict[str, Any] = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
     meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read")})
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
     text = np.array(json.dumps(meta, default=lambda value: value.tolist()))
     entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
-    _whole(folder / _STATE, lambda file: np.savez(file, **entries))
+    folder.write(_STATE, lambda file: np.savez(file, **entries))
     return done
 
 
-def _load(folder: Path) -> _Progress:
-    """Return what an interrupted run had done; nothing, if that cannot be read."""
-    try:
-        with np.load(folder / _STATE) as found:
-            meta = json.loads(str(found["meta"]))
-            columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
-            beam_time = {"time": found["time"], "beam": found["beam"]}
-        for index in range(meta["n_part"]):
-            _open(_part(folder, index))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+def _load(folder: ResultFolder, say: Callable[[str], None]) -> _Progress:
+    """Return what an interrupted run had done; nothing, if a file of it is gone or was changed."""
+    if _STATE not in folder.names("records/"):
         return _Progress()
+    try:
+        done = _progress(folder.read(_STATE))
+        for index in range(done.n_part):
+            folder.checked(_part(index))
+    except _UNREADABLE as error:
+        say(f"What an earlier run made of the files is not used, and all are read again: {_in_words(error)}")
+        return _Progress()
+    return done
+
+
+def _progress(content: bytes) -> _Progress:
+    """Return what a state file holds."""
+    with np.load(io.BytesIO(content)) as found:
+        meta = json.loads(str(found["meta"]))
+        columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
+        beam_time = {"time": found["time"], "beam": found["beam"]}
     state = meta.pop("state")
     state["latest_of_beam"] = {int(beam): int(latest) for beam, latest in state["latest_of_beam"]}
     state["source_files"] = tuple(state["source_files"])
     return _Progress(state=StreamState(**beam_time, columns=columns, **state), **meta)
-
-
-def _whole(file: Path, write: Any) -> None:
-    """Write a file that appears whole or not at all."""
-    part = file.with_name(f".{os.getpid()}.{file.name}")
-    try:
-        write(part)
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)

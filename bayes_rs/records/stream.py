@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,14 @@ import xarray as xr
 from bayes_rs._validation import FloatArray, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.quality import IntArray
-from bayes_rs.records.making import (
-    BEAM_FLAGS,
-    RECORD_FLAGS,
-    _check_size,
-    _mean_wind,
-    _report_of_records,
-    _window_ns,
-    make_records,
-)
+from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.quality.rules import QualityRules
+from bayes_rs.quality.samples import IntArray
+from bayes_rs.records.beam_wind import wind_of_beams
+from bayes_rs.records.counts import flags_report
+from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS
+from bayes_rs.records.making import make_records
+from bayes_rs.records.record_options import check_size, record_options
 
 _OF_CHUNK = ("source_files", "read_report")
 """Attributes of a series that tell of its chunk only."""
@@ -68,7 +67,12 @@ class StreamState:
 
 
 def stream_records(
-    series: Iterable[xr.Dataset], scan: Scan, *, lateness: float | None = None, **options: Any
+    series: Iterable[xr.Dataset],
+    scan: str | Path | Scan,
+    *,
+    lateness: float | None = None,
+    quality: QualityRules | None = None,
+    **options: Any,
 ) -> xr.Dataset:
     """Turn radial velocities that come in chunks into records.
 
@@ -76,13 +80,15 @@ def stream_records(
     ----------
     series : iterable of xarray.Dataset
         Chunks of radial velocities, as `make_records` takes them, in the order of time. They may end anywhere.
-    scan : Scan
-        The scan they were measured with.
+    scan : Scan, str or Path
+        The scan they were measured with, or its name or file.
     lateness : float, optional
         How far, in seconds, a sample may come behind the latest one before it: records stay open for so long after
         their end. By default the duration of a record.
+    quality : QualityRules, optional
+        As for `make_records`.
     **options
-        Those of `make_records`.
+        As for `make_records`: the fields of `bayes_rs.records.RecordOptions`.
 
     Returns
     -------
@@ -110,16 +116,22 @@ def stream_records(
     >>> stream_records(chunks, scan)["variance"].equals(brs.make_records(series, scan)["variance"])
     True
     """
-    state = StreamState()
+    state, of_scan = StreamState(), as_scan(scan)
     blocks = []
     for chunk in series:
-        state, block = add_chunk(state, chunk, scan, lateness=lateness, **options)
+        state, block = add_chunk(state, chunk, of_scan, lateness=lateness, quality=quality, **options)
         blocks += [] if block is None else [block]
-    return join_blocks(blocks, state, scan, **options)
+    return join_blocks(blocks, state, of_scan, quality=quality, **options)
 
 
 def add_chunk(
-    state: StreamState, chunk: xr.Dataset, scan: Scan, *, lateness: float | None = None, **options: Any
+    state: StreamState,
+    chunk: xr.Dataset,
+    scan: Scan,
+    *,
+    lateness: float | None = None,
+    quality: QualityRules | None = None,
+    **options: Any,
 ) -> tuple[StreamState, xr.Dataset | None]:
     """Add one chunk of a series; return the new state, and the records that it completes.
 
@@ -127,7 +139,7 @@ def add_chunk(
     ----------
     state : StreamState
         After the chunks before; it is not changed.
-    chunk, scan, lateness, options
+    chunk, scan, lateness, quality, options
         As for `stream_records`.
 
     Returns
@@ -142,8 +154,7 @@ def add_chunk(
     InputError
         As `stream_records`.
     """
-    duration = options.get("duration", 600.0)
-    window = _window_ns(duration)
+    window = record_options(options).window
     wait = window if lateness is None else round(check_non_negative(lateness, what="lateness", unit="s") * 1e9)
     time, beam, columns = _arrays(chunk, scan)
     if len(time) == 0:
@@ -185,10 +196,17 @@ def add_chunk(
     done = _series(
         all_time[closed], all_beam[closed], {name: values[closed] for name, values in all_columns.items()}, attributes
     )
-    return new, make_records(done, scan, **options)
+    return new, make_records(done, scan, quality=quality, **options)
 
 
-def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **options: Any) -> xr.Dataset:
+def join_blocks(
+    blocks: list[xr.Dataset],
+    state: StreamState,
+    scan: Scan,
+    *,
+    quality: QualityRules | None = None,
+    **options: Any,
+) -> xr.Dataset:
     """Put the records of a stream together, those that are still open with them.
 
     Parameters
@@ -197,7 +215,7 @@ def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **opti
         What `add_chunk` returned, in that order.
     state : StreamState
         After the last chunk.
-    scan, options
+    scan, quality, options
         As for `stream_records`.
 
     Returns
@@ -212,18 +230,18 @@ def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **opti
     """
     if len(state.time):
         last = _series(state.time, state.beam, state.columns, state.attributes)
-        blocks = [*blocks, make_records(last, scan, **options)]
+        blocks = [*blocks, make_records(last, scan, quality=quality, **options)]
     if not blocks:
         raise InputError("Invalid series: it holds no sample; give files with samples.")
-    duration = float(options.get("duration", 600.0))
-    window = _window_ns(duration)
+    chosen = record_options(options)
+    window = chosen.window
     number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
     first = min(int(of[0]) for of in number)
     n_record = max(int(of[-1]) for of in number) - first + 1
     present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
     beams = scan.beam[np.isin(scan.beam, present)]
-    _check_size(n_record, len(beams), np.array([first, first + n_record - 1]) * window, duration)
-    empty = _empty_record(blocks[0], scan, state, options)
+    check_size(n_record, len(beams), np.array([first, first + n_record - 1]) * window, chosen.duration)
+    empty = _empty_record(blocks[0], scan, state, quality, options)
     start = ((first + np.arange(n_record)) * window).astype("datetime64[ns]")
     rows = [of - first for of in number]
     column = [np.searchsorted(beams, block["beam"].values, sorter=np.argsort(beams)) for block in blocks]
@@ -243,7 +261,7 @@ def join_blocks(blocks: list[xr.Dataset], state: StreamState, scan: Scan, **opti
     )
     # a block does not know of a beam that it lacks and others have: the wind is found again, to the last bit
     valid = (records["flag"].values & ~np.uint8(BEAM_FLAGS["record_excluded"])) == 0
-    speed, yaw, of_wind = _mean_wind(records["mean"].values, valid, scan.select(beams))
+    speed, yaw, of_wind = wind_of_beams(records["mean"].values, valid, scan.select(beams))
     records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
     own = records["record_flag"].values & ~np.uint8(_OF_WIND)
     records["record_flag"].values[:] = own | of_wind
@@ -265,7 +283,7 @@ def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState, s
         "samples_out_of_order": state.out_of_order,
         "dropped": {name: sum(report["dropped"][name] for report in reports) for name in reports[0]["dropped"]},
         "by_beam": _by_beam([report["by_beam"] for report in reports], beams.tolist()),
-        **_report_of_records(records, beams, scan),
+        **flags_report(records, beams, scan),
         "blades": [],
         **more,
     }
@@ -288,7 +306,7 @@ def _arrays(chunk: xr.Dataset, scan: Scan) -> tuple[IntArray, IntArray, dict[str
         if name not in chunk.variables or chunk[name].dims != ("sample",):
             raise InputError(
                 f"Invalid chunk of a series: it needs {name!r} over the dimension 'sample'; make it with "
-                "stream_radial_velocity."
+                "bayes_rs.readers.stream."
             )
     if not np.issubdtype(chunk["time"].dtype, np.datetime64) or bool(np.isnat(chunk["time"].values).any()):
         raise InputError("Invalid chunk of a series: every time must be a UTC time of type datetime64.")
@@ -344,13 +362,15 @@ def _series(
     )
 
 
-def _empty_record(block: xr.Dataset, scan: Scan, state: StreamState, options: Mapping[str, Any]) -> xr.Dataset:
+def _empty_record(
+    block: xr.Dataset, scan: Scan, state: StreamState, quality: QualityRules | None, options: Mapping[str, Any]
+) -> xr.Dataset:
     """Return what `make_records` says of a record and beam without a sample: the second of three, of one beam."""
-    window = _window_ns(options.get("duration", 600.0))
+    window = record_options(options).window
     beam = np.full(2, block["beam"].values[0], dtype=np.int64)
     columns = {name: np.zeros(2, dtype=values.dtype) for name, values in state.columns.items()}
     series = _series(np.array([0, 2 * window]), beam, columns, state.attributes)
-    return make_records(series, scan, **options).isel(record=1)
+    return make_records(series, scan, quality=quality, **options).isel(record=1)
 
 
 def _utc(time: int | np.signedinteger[Any]) -> str:

@@ -8,12 +8,12 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.fitting import MISFIT_LIMIT
+from bayes_rs.fits.flags import MISFIT_LIMIT
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
-from bayes_rs.report.folder import FitFolder
 from bayes_rs.report.packing import pack, pack_rows, pack_steps, plain
+from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, time_axis
 
 DRAW_BYTES = 2_400_000
@@ -43,7 +43,7 @@ def series_data(series: Series) -> dict[str, Any]:
     }
 
 
-def availability_data(availability: Availability, found: FitFolder) -> dict[str, Any]:
+def availability_data(availability: Availability, found: ReportData) -> dict[str, Any]:
     """Return the heat map of the beams."""
     position, width, _ = time_axis(found)
     ends = np.append(position, position[-1] + width)
@@ -56,13 +56,13 @@ def availability_data(availability: Availability, found: FitFolder) -> dict[str,
     }
 
 
-def picked(found: FitFolder) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def picked(found: ReportData) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Return the records that can be picked: all, or evenly spaced ones of very many."""
     n = len(found.record)
     return np.unique(np.linspace(0, n - 1, min(n, MOST_PICKED)).round().astype(np.int64))
 
 
-def records_data(found: FitFolder) -> dict[str, Any]:
+def records_data(found: ReportData) -> dict[str, Any]:
     """Return the numbers of each record, and draws of its posterior as far as the page can hold them."""
     rows = picked(found)
     position, _, _ = time_axis(found)
@@ -84,12 +84,12 @@ def records_data(found: FitFolder) -> dict[str, Any]:
     if found.draws is not None and n_draw >= LEAST_DRAWS and found.fitted.any():
         draws = found.draws(n_draw)
         data["draws"] = {"n": draws.shape[1], **pack_rows(draws)}
-    if found.prior_shape is not None and found.fitted.any():
+    if found.fitted.any():
         data["prior"] = {"n": len(found.prior_shape), **pack_rows(found.prior_shape)}
     return data
 
 
-def intensity_data(found: FitFolder) -> dict[str, Any] | None:
+def intensity_data(found: ReportData) -> dict[str, Any] | None:
     """Return turbulence intensity against wind speed; None if it is not known of any record."""
     if "ti" not in found.derived:
         return None
@@ -117,7 +117,7 @@ def intensity_data(found: FitFolder) -> dict[str, Any] | None:
     return data
 
 
-def contraction_quantiles(found: FitFolder) -> dict[str, FloatArray]:
+def contraction_quantiles(found: ReportData) -> dict[str, FloatArray]:
     """Return the 5, 50 and 95 % points over the fitted records of both contractions, shape (6, 3)."""
     return {
         name: np.quantile(found.numbers[name][found.fitted], [0.05, 0.5, 0.95], axis=0).T
@@ -125,14 +125,14 @@ def contraction_quantiles(found: FitFolder) -> dict[str, FloatArray]:
     }
 
 
-def contraction_data(found: FitFolder) -> dict[str, Any] | None:
+def contraction_data(found: ReportData) -> dict[str, Any] | None:
     """Return the points of both contractions; None if no record was fitted."""
     if not found.fitted.any():
         return None
     return {name: plain(points, 3) for name, points in contraction_quantiles(found).items()}
 
 
-def shape_data(found: FitFolder) -> dict[str, Any] | None:
+def shape_data(found: ReportData) -> dict[str, Any] | None:
     """Return where the posterior means are in the Lumley triangle; None if no record was fitted."""
     rows = np.flatnonzero(found.fitted)
     if not len(rows):
@@ -142,7 +142,7 @@ def shape_data(found: FitFolder) -> dict[str, Any] | None:
     return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
 
 
-def worst_diagnostics(found: FitFolder) -> dict[str, FloatArray]:
+def worst_diagnostics(found: ReportData) -> dict[str, FloatArray]:
     """Return the worst value of each diagnostic over a record's stresses, shape (n_record,); NaN where it has none."""
     return {
         "ess_bulk": found.numbers["ess_bulk"].min(axis=1),
@@ -153,9 +153,9 @@ def worst_diagnostics(found: FitFolder) -> dict[str, FloatArray]:
     }
 
 
-def diagnostic_limits(found: FitFolder) -> dict[str, float | None]:
+def diagnostic_limits(found: ReportData) -> dict[str, float | None]:
     """Return the limits beyond which a record is flagged; None where there is none."""
-    target = found.run.get("target_ess", found.run.get("scene", {}).get("target_ess"))
+    target = found.run["settings"]["fit"]["target_ess"]
     return {
         "ess_bulk": None if target is None else float(target),
         "ess_tail": None,
@@ -165,7 +165,7 @@ def diagnostic_limits(found: FitFolder) -> dict[str, float | None]:
     }
 
 
-def diagnostics_data(found: FitFolder) -> list[dict[str, Any]]:
+def diagnostics_data(found: ReportData) -> list[dict[str, Any]]:
     """Return a histogram over the records of each diagnostic that there is."""
     limits = diagnostic_limits(found)
     panels = []

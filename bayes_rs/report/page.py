@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.result import FLAGS
-from bayes_rs.fits.words import FAILURES
+from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.records.making import describe_report
+from bayes_rs.records.report import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
-from bayes_rs.report.folder import FitFolder
+from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
 
@@ -35,12 +34,12 @@ NO_SAMPLES = "not counted"
 _FIRST = 3  # records that are named for each flag
 
 
-def render(found: FitFolder, *, title: str | None = None) -> str:
+def render(found: ReportData, *, title: str | None = None) -> str:
     """Return the whole page.
 
     Parameters
     ----------
-    found : FitFolder
+    found : ReportData
         From `read_folder`.
     title : str, optional
         Heading; by default the scan and the period.
@@ -52,9 +51,7 @@ def render(found: FitFolder, *, title: str | None = None) -> str:
     """
     series = make_series(found)
     _, width, timed = time_axis(found)
-    availability = None
-    if found.records is not None and {"flag", "beam"} <= set(found.records.variables):
-        availability = make_availability(found.records, _HOUR / width if timed else None)
+    availability = make_availability(found.records, _HOUR / width if timed else None)
     data: dict[str, Any] = {
         "stresses": list(STRESSES),
         "prob": found.prob,
@@ -62,7 +59,7 @@ def render(found: FitFolder, *, title: str | None = None) -> str:
         "series": figures.series_data(series),
         "records": figures.records_data(found),
         "flags": FLAGS,
-        "availability": None if availability is None else figures.availability_data(availability, found),
+        "availability": figures.availability_data(availability, found),
         "contraction": figures.contraction_data(found),
         "intensity": figures.intensity_data(found),
         "shape": figures.shape_data(found),
@@ -136,7 +133,7 @@ def _key(kind: str, text: str) -> str:
     return f'<span class="key"><span class="swatch {kind}" aria-hidden="true"></span>{escape(text)}</span> '
 
 
-def _lead(found: FitFolder) -> str:
+def _lead(found: ReportData) -> str:
     text = "Bayesian estimate of the six Reynolds stresses from the variances of a Doppler lidar's beams"
     when = words.period(found)
     if found.run.get("finished") is False:
@@ -146,16 +143,18 @@ def _lead(found: FitFolder) -> str:
     return f"{text} {probe[:1].upper()}{probe[1:]}." if probe else text
 
 
-def _key_numbers(found: FitFolder, scan: str) -> str:
+def _key_numbers(found: ReportData, scan: str) -> str:
     fitted = int(found.fitted.sum())
     failed = int(np.count_nonzero(found.flag & FAILURES))
     remarked = int(np.count_nonzero(found.flag)) - failed
+    outside = int(np.count_nonzero(found.flag & FLAGS["outside_noise"]))
     without = int(np.count_nonzero(found.flag & FLAGS["no_usable_beam"]))  # gaps are most of them in a long campaign
     entries = [
         ("Records", f"{len(found.record)}"),
         ("Fitted", f"{fitted}"),
         ("Failed", f"{failed} ({without} without a usable beam)" if without else f"{failed}"),
         ("Other flags", f"{remarked}"),
+        *([("Outside the noise's reach", f"{outside}")] if outside else []),
         ("Scan", scan),
     ]
     if found.target:
@@ -168,46 +167,39 @@ def _key_numbers(found: FitFolder, scan: str) -> str:
     return pairs(entries, "key-numbers")
 
 
-def _read_section(found: FitFolder, availability: Availability | None) -> str:
-    parts = []
-    records = found.records
-    if records is not None:
-        said = describe_report(records)
-        if said:
-            parts.append(lines(said))
-        parts.append(_count_tables(records.attrs))
-    elif found.run.get("source_files"):
-        parts.append(lines([f"files: {', '.join(str(name) for name in found.run['source_files'])}"]))
-    if availability is not None:
-        what = "Share of the expected samples that were used" if availability.of_samples else "Share of usable beams"
-        caption = f"{what}, beam by beam. Above: share of the beams that are usable. " + "".join(
-            _key(f"level-{level}", text)
-            for level, text in enumerate(("none", "below 50 %", "50 to 80 %", "80 to 95 %", "95 % or more"))
+def _read_section(found: ReportData, availability: Availability) -> str:
+    said = describe_report(found.records)
+    parts = [lines(said)] if said else []
+    parts.append(_count_tables(found.records.attrs))
+    what = "Share of the expected samples that were used" if availability.of_samples else "Share of usable beams"
+    caption = f"{what}, beam by beam. Above: share of the beams that are usable. " + "".join(
+        _key(f"level-{level}", text)
+        for level, text in enumerate(("none", "below 50 %", "50 to 80 %", "80 to 95 %", "95 % or more"))
+    )
+    n_record = len(found.record)
+    rows = [
+        (
+            f"{beam}",
+            f"{usable}",
+            f"{100.0 * usable / n_record:.1f} %",
+            NO_SAMPLES if not np.isfinite(samples) else f"{samples:.0f}",
+            number(100.0 * samples / (n_record * availability.expected)) + " %",
         )
-        n_record = len(found.record)
-        rows = [
-            (
-                f"{beam}",
-                f"{usable}",
-                f"{100.0 * usable / n_record:.1f} %",
-                NO_SAMPLES if not np.isfinite(samples) else f"{samples:.0f}",
-                number(100.0 * samples / (n_record * availability.expected)) + " %",
-            )
-            for beam, usable, samples in zip(
-                availability.beam_numbers.tolist(),
-                availability.beam_usable.tolist(),
-                availability.beam_samples.tolist(),
-                strict=True,
-            )
-        ]
-        header = ("beam", "usable records", "share", "samples used", "of the expected")
-        parts.append(
-            _figure(
-                "availability",
-                caption,
-                folded("Table: availability of each beam", table("Availability of each beam", header, rows)),
-            )
+        for beam, usable, samples in zip(
+            availability.beam_numbers.tolist(),
+            availability.beam_usable.tolist(),
+            availability.beam_samples.tolist(),
+            strict=True,
         )
+    ]
+    header = ("beam", "usable records", "share", "samples used", "of the expected")
+    parts.append(
+        _figure(
+            "availability",
+            caption,
+            folded("Table: availability of each beam", table("Availability of each beam", header, rows)),
+        )
+    )
     return "".join(parts)
 
 
@@ -242,7 +234,7 @@ def _count_tables(attributes: dict[str, Any]) -> str:
     return folded("Table: counts of what was read and dropped", "".join(parts)) if parts else ""
 
 
-def _stress_section(found: FitFolder, series: Series) -> str:
+def _stress_section(found: ReportData, series: Series) -> str:
     if not found.fitted.any():
         return '<p class="note">No record was fitted: see the flags under Diagnostics.</p>'
     percent = f"{100.0 * found.prob:g} %"
@@ -304,7 +296,7 @@ def _flag_words(series: Series, index: int) -> str:
     return "failed" if failed else "other" if remarked else ""
 
 
-def _record_section(found: FitFolder, *, timed: bool) -> str:
+def _record_section(found: ReportData, *, timed: bool) -> str:
     if not found.fitted.any():
         return ""
     rows = figures.picked(found)
@@ -343,13 +335,13 @@ def _record_section(found: FitFolder, *, timed: bool) -> str:
     )
 
 
-def _state(found: FitFolder, index: int) -> str:
+def _state(found: ReportData, index: int) -> str:
     if found.flag[index] & FAILURES:
         return ", failed"
     return ", flagged" if found.flag[index] else ""
 
 
-def _contraction_section(found: FitFolder, data: dict[str, Any]) -> str:
+def _contraction_section(found: ReportData, data: dict[str, Any]) -> str:
     if data["contraction"] is None:
         return ""
     said = lines(words.contraction_words(found))
@@ -376,7 +368,7 @@ def _contraction_section(found: FitFolder, data: dict[str, Any]) -> str:
     return said + _figure("contraction", caption, folded("Table: contraction", content))
 
 
-def _intensity_section(found: FitFolder, data: dict[str, Any]) -> str:
+def _intensity_section(found: ReportData, data: dict[str, Any]) -> str:
     known = data["intensity"]
     if known is None:
         return ""
@@ -407,7 +399,7 @@ def _intensity_section(found: FitFolder, data: dict[str, Any]) -> str:
     )
 
 
-def _shape_section(found: FitFolder, data: dict[str, Any]) -> str:
+def _shape_section(found: ReportData, data: dict[str, Any]) -> str:
     if data["shape"] is None:
         return ""
     caption = (
@@ -426,7 +418,7 @@ def _shape_section(found: FitFolder, data: dict[str, Any]) -> str:
     return _figure("shape", caption, folded("Table: shape of the tensor", content))
 
 
-def _diagnostics_section(found: FitFolder) -> str:
+def _diagnostics_section(found: ReportData) -> str:
     flags = []
     for name, bit in FLAGS.items():
         where = np.flatnonzero(found.flag & bit)
@@ -435,7 +427,7 @@ def _diagnostics_section(found: FitFolder) -> str:
         flags.append(
             (
                 name,
-                words.FLAG_MEANINGS.get(name, ""),
+                FLAG_MEANINGS.get(name, ""),
                 "failure" if bit & FAILURES else "remark",
                 first + more or "–",
                 str(len(where)),
@@ -473,7 +465,7 @@ def _diagnostics_section(found: FitFolder) -> str:
     return content
 
 
-def _provenance_section(found: FitFolder) -> str:
+def _provenance_section(found: ReportData) -> str:
     run = dict(found.run)
     text = run.get("scan_toml")
     if isinstance(text, str):

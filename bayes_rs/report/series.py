@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.words import FAILURES
-from bayes_rs.report.folder import FitFolder
+from bayes_rs.fits.flags import FAILURES
+from bayes_rs.report.report_data import ReportData
 
 MOST_RECORDS = 1000
 """Records up to which each has a point of its own."""
@@ -54,7 +54,7 @@ class Series:
     spread_high: FloatArray
 
 
-def time_axis(found: FitFolder) -> tuple[FloatArray, float, bool]:
+def time_axis(found: ReportData) -> tuple[FloatArray, float, bool]:
     """Return where each record stands, how wide it is, and whether in ms since 1970 or in records.
 
     Times are used if every record has one and they go forward.
@@ -70,12 +70,12 @@ def time_axis(found: FitFolder) -> tuple[FloatArray, float, bool]:
     return found.record.astype(np.float64), 1.0, False
 
 
-def make_series(found: FitFolder) -> Series:
+def make_series(found: ReportData) -> Series:
     """Lay the stresses out along time.
 
     Parameters
     ----------
-    found : FitFolder
+    found : ReportData
         From `read_folder`.
 
     Returns

@@ -6,24 +6,8 @@ import numpy as np
 
 from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.report.folder import FitFolder
+from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import number
-
-FLAG_MEANINGS = {
-    "no_usable_beam": "every beam is flagged or has no variance; not fitted",
-    "no_wind": "no wind speed or direction; not fitted",
-    "beam_left_out": "at least one beam is not used",
-    "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
-    "short_chain": "some stress has fewer effective draws than asked for",
-    "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
-    "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
-    "contradicts_model": "a beam is far from what the posterior predicts for it",
-    "not_stationary": "the record has a trend, or its parts differ",
-    "low_wind": "the mean wind is below the limit of the record checks",
-    "excluded": "taken out by a rule of quality; not fitted",
-    "likelihood_failed": "the likelihood could not be calculated; not fitted",
-}
-"""What each flag of a result means, in short; docs/diagnostics.md says what to do."""
 
 DIAGNOSTIC_WORDS = {
     "ess_bulk": "bulk ESS, least of the six",
@@ -34,7 +18,7 @@ DIAGNOSTIC_WORDS = {
 }
 
 
-def when(found: FitFolder, index: int) -> str:
+def when(found: ReportData, index: int) -> str:
     """Name a record by its start, or by its number where it has none."""
     start = found.time[index]
     return f"record {found.record[index]}" if np.isnat(start) else stamp(start)
@@ -46,7 +30,7 @@ def stamp(time: np.datetime64) -> str:
     return text.removesuffix(":00")
 
 
-def period(found: FitFolder) -> str:
+def period(found: ReportData) -> str:
     """Say from when to when the records start; empty if they have no times."""
     known = found.time[~np.isnat(found.time)]
     if not len(known):
@@ -55,13 +39,13 @@ def period(found: FitFolder) -> str:
     return f"{stamp(first)} UTC" if first == last else f"{stamp(first)} to {stamp(last)} UTC"
 
 
-def median_words(found: FitFolder) -> str:
+def median_words(found: ReportData) -> str:
     """Return the medians over the records of each stress's posterior median, in one line."""
     middle = np.median(found.numbers["median"][found.fitted], axis=0)
     return ", ".join(f"{name} {number(value)}" for name, value in zip(STRESSES, middle, strict=True))
 
 
-def contraction_words(found: FitFolder) -> list[str]:
+def contraction_words(found: ReportData) -> list[str]:
     """Say what the beams see, what the prior was, and which of the two decided each stress."""
     lines = []
     if found.sight:
@@ -76,15 +60,11 @@ def contraction_words(found: FitFolder) -> list[str]:
         lines.append(share.format("more than half", ", ".join(data)))
     if prior:
         lines.append(share.format("less than half", ", ".join(prior)))
-    if found.directions is not None:
-        lines += _direction_words(found)
-    return lines
+    return lines + _direction_words(found)
 
 
-def direction_rows(found: FitFolder) -> list[tuple[str, ...]]:
+def direction_rows(found: ReportData) -> list[tuple[str, ...]]:
     """Return a row for each direction of R: words, weight, seen or not, and both contractions in the median record."""
-    if found.directions is None:
-        return []
     columns = ["weight", "contraction", "contraction_shape", *STRESSES]
     along = found.directions.groupby("direction")[columns].median()
     return [
@@ -99,7 +79,7 @@ def direction_rows(found: FitFolder) -> list[tuple[str, ...]]:
     ]
 
 
-def _direction_words(found: FitFolder) -> list[str]:
+def _direction_words(found: ReportData) -> list[str]:
     rows = direction_rows(found)
     unseen = [row for row in rows if row[2] == "no"]
     if not unseen:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_folder import open_fit
+from bayes_rs.fits.fit_object import Fit
 from bayes_rs.output import output_file
-from bayes_rs.report.folder import read_folder
 from bayes_rs.report.page import render
+from bayes_rs.report.report_data import report_data
+from bayes_rs.result_folder import list_beside
 
 REPORT_FILE = "report.html"
 
 
 def write_report(
-    folder: str | Path,
+    fit: Fit | str | Path,
     output: str | Path | None = None,
     *,
     title: str | None = None,
@@ -23,15 +27,14 @@ def write_report(
 
     Parameters
     ----------
-    folder : str or Path
-        Output folder of `run_fit`, of `fit_campaign` or of ``bayes-rs fit``.
+    fit : Fit, str or Path
+        A fit, or its folder.
     output : str or Path, optional
-        File to write; by default ``report.html`` in the folder.
+        File to write; by default ``report.html`` in the fit's folder.
     title : str, optional
         Heading of the page; by default the scan and the period.
     prob : float, optional
-        Probability of the credible intervals; by default that of the folder's summary. Another one needs the draws of
-        ``posterior.nc``.
+        Probability of the credible intervals; by default that of the fit. Another one needs the draws.
     overwrite : bool
         Replace an existing file.
 
@@ -43,7 +46,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder is not of a fit, the file exists and may not be replaced, or prob cannot be had.
+        If the folder is not of a fit, the fit is in memory and no file is named, the file exists and may not be
+        replaced, or prob cannot be had.
 
     Notes
     -----
@@ -57,16 +61,19 @@ def write_report(
     --------
     >>> import tempfile, bayes_rs as brs
     >>> scan = brs.load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0)
-    >>> records = brs.make_records(brs.read_radial_velocity(brs.demo_file("6-beam-45"), scan), scan)
-    >>> noise = brs.calibrate(scan, brs.load_turbulence("fu-2022"), wind_speed=10.0, cache=False)
+    >>> records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     campaign = brs.fit_campaign(records, scan, f"{folder}/hour", noise=noise, seed=1)
-    ...     file = write_report(campaign.folder)
+    ...     file = write_report(brs.fit(records, scan, seed=1), f"{folder}/report.html")
     ...     file.name, "Stresses over time" in file.read_text(encoding="utf-8")
     ('report.html', True)
     """
-    file = Path(folder) / REPORT_FILE if output is None else Path(output)
-    found = read_folder(folder, prob=prob)
+    found = fit if isinstance(fit, Fit) else open_fit(fit)
+    if output is None and not found.place:
+        raise InputError("A fit in memory has no folder for its report: name a file to write.")
+    file = Path(found.place) / REPORT_FILE if output is None else Path(output)
+    data = report_data(found, prob=prob)
     with output_file(file, overwrite=overwrite) as part:
-        part.write_text(render(found, title=title), encoding="utf-8", newline="\n")
+        part.write_text(render(data, title=title), encoding="utf-8", newline="\n")
+    if output is None:
+        list_beside(file)  # it belongs to the folder, and goes with it
     return file

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_finite, check_positive
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.theory import probed_covariance, sonic_moments
 from bayes_rs.progress import progress
+from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.theory.sonic_theory import sonic_moments
 from bayes_rs.turbulence.log_transform import ComplexArray
 from bayes_rs.turbulence.mann import MannTurbulence
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.quality import QualityRules, apply_filters
+from bayes_rs.quality.filtering import apply_filters
+from bayes_rs.quality.rules import QualityRules
 from bayes_rs.records.record_samples import sort_samples
 
 LARGEST_SPREAD = 0.25
@@ -27,7 +28,7 @@ def beam_samples(series: xr.Dataset, scan: Scan, records: xr.Dataset) -> tuple[F
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` and `simulate` return them.
+        Radial velocities, as `read` and `simulate` return them.
     scan : Scan
         Their scan.
     records : xarray.Dataset

@@ -6,7 +6,7 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import Probe
-from bayes_rs.noise.theory import probed_covariance
+from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
 

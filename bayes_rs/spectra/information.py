@@ -7,9 +7,9 @@ from scipy.linalg import toeplitz
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.theory import probed_covariance
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.lag_window import fourier_rows, lag_windows, ordinates
+from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
 _STEP = 0.05  # of ln L, for the derivative by differences

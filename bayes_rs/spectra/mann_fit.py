@@ -298,7 +298,7 @@ def with_length_scale(records: xr.Dataset, fit: xr.Dataset, pooled: xr.Dataset |
     records : xarray.Dataset
         With ``length_scale`` (record), m, ``length_scale_log_sd`` (record), and ``gamma`` (record) if several were
         given to `fit_spectra`. `fit` takes each record's noise at them from a bank that spans them,
-        ``noise_for_records(..., length_scale=[shortest, longest])``. Records without a fitted spectrum get the pooled
+        ``noise.calibrate(scan, records=records)``. Records without a fitted spectrum get the pooled
         L of the others; the attribute ``length_scale_from_others`` counts them.
 
     Raises

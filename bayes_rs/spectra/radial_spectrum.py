@@ -21,7 +21,7 @@ def radial_spectra(series: xr.Dataset, scan: Scan, records: xr.Dataset, *, taper
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` and `simulate` return them.
+        Radial velocities, as `read` and `simulate` return them.
     scan : Scan
         Their scan.
     records : xarray.Dataset

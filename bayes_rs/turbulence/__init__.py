@@ -1,1 +1,5 @@
-"""The Mann model: spectral tensor, stresses at a point, covariances of two points."""
+"""Turbulence: Mann's model, and its covariances and spectra at one and two points."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -224,3 +224,28 @@ def load_turbulence(name: str | Path) -> MannTurbulence:
         name=path.stem,
         source=spec.source,
     )
+
+
+def as_turbulence(turbulence: MannTurbulence | str | Path) -> MannTurbulence:
+    """Return the turbulence itself, or that of a name or file; see `load_turbulence`.
+
+    Parameters
+    ----------
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name in ``models/turbulence``, or a TOML file.
+
+    Returns
+    -------
+    turbulence : MannTurbulence
+        The turbulence.
+
+    Examples
+    --------
+    >>> as_turbulence("fu-2022").gamma
+    3.2
+    """
+    return turbulence if isinstance(turbulence, MannTurbulence) else load_turbulence(turbulence)
+
+
+load, fit = load_turbulence, fit_turbulence
+"""Their names in `bayes_rs.turbulence`."""

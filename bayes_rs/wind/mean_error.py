@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.theory import distinct_pairs, probed_covariance, sample_counts
+from bayes_rs.theory.pairs import distinct_pairs
+from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.interpolation import find_net
 from bayes_rs.turbulence.mann import MannTurbulence
 

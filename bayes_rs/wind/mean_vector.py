@@ -10,8 +10,8 @@ from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
-from bayes_rs.records.making import RECORD_FLAGS
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
 

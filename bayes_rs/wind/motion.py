@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,17 +13,29 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.attitude import level_direction, roll_matrix
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import open_table
 from bayes_rs.records.making import make_records
+from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.wind.mean_vector import mean_wind
 
 ANGLES = ("tilt_deg", "roll_deg", "heading_deg")
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 _UNITS = {**dict.fromkeys(ANGLES, "degree"), **dict.fromkeys(VELOCITIES, "m s-1")}
+
+_NAMES = ("time", *ANGLES, *VELOCITIES)
+_OF_BOTH = ("time_zone", "time_format", "separator", "decimal", "invalid")
+"""What files of motion have in common with those of radial velocities."""
+
+
+class _MotionFormat(FileFormat):
+    """How a file of motion is written."""
+
+    names: ClassVar[tuple[str, ...]] = _NAMES
 
 
 def read_motion(
@@ -48,7 +60,7 @@ def read_motion(
     time_zone : str
         Zone of times that carry none.
     time_format : str, optional
-        How times are written if not in ISO 8601, as for `bayes_rs.read_radial_velocity`.
+        How times are written if not in ISO 8601, as for `bayes_rs.read`.
     separator, decimal : str
         What separates the entries of a text file, and its decimal sign.
     invalid : sequence of float
@@ -80,27 +92,21 @@ def read_motion(
     >>> motion["tilt_deg"].values
     array([5. , 4.9])
     """
-    names = ("time", *ANGLES, *VELOCITIES)
     for name in columns:
-        if name not in names:
-            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(names)}.")
+        if name not in _NAMES:
+            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(_NAMES)}.")
     if "time" not in columns or len(columns) < 2:
         raise InputError(
             f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves, as in "
             "{'time': 'Timestamp', 'tilt_deg': 'Tilt'} (--motion-column time=Timestamp --motion-column tilt_deg=Tilt)."
         )
-    file_format = FileFormat(
+    file_format = _MotionFormat(
         columns=dict(columns),
-        beam_numbers={},
-        positive="away",
-        velocity_unit="m/s",
-        invalid=tuple(float(value) for value in invalid),
+        invalid=tuple(invalid),
         time_zone=time_zone,
-        separator="\t" if separator == "tab" else separator,
+        separator=separator,
         decimal=decimal,
-        status_valid=None,
         time_format=time_format,
-        out_of_order="sort",
         required=frozenset(columns),
     )
     parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in columns}
@@ -126,6 +132,44 @@ def read_motion(
         {name: ("time", values[order][last], {"units": _UNITS[name]}) for name, values in whole.items()},
         coords={"time": time[last].astype("datetime64[ns]")},
     )
+
+
+def add_motion(records: xr.Dataset, scan: Scan, options: RecordOptions, files: FileOptions | None = None) -> xr.Dataset:
+    """Give records the lidar's own tilt and roll from the files that the options of records name.
+
+    Parameters
+    ----------
+    records : xarray.Dataset
+        From `make_records`.
+    scan : Scan
+        The scan that they were measured with.
+    options : RecordOptions
+        With the files of motion and their columns.
+    files : FileOptions, optional
+        How the files of radial velocities are written: those of motion have the same zone, form of times, separator,
+        decimal sign and numbers for missing entries. What is not said is what `read_motion` takes it to be; numbers for
+        missing entries are then those of the scan's files.
+
+    Returns
+    -------
+    records : xarray.Dataset
+        As `with_motion` returns them; the same records if the options name no files.
+
+    Raises
+    ------
+    InputError
+        If a file or column cannot be read.
+    """
+    if not options.motion:
+        return records
+    written = {} if files is None else files.given()
+    motion = read_motion(
+        options.motion,
+        columns=options.motion_columns,
+        **{"invalid": scan.file_format.get("invalid", ())}
+        | {name: written[name] for name in _OF_BOTH if name in written},
+    )
+    return with_motion(records, motion, scan)
 
 
 def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Dataset:
@@ -234,7 +278,7 @@ def remove_motion(
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` returns them.
+        Radial velocities, as `bayes_rs.read` returns them.
     motion : xarray.Dataset
         Over ``time`` (UTC), any of: ``velocity_x``, ``velocity_y``, ``velocity_z``, the velocity of the lidar in its
         levelled frame, m/s (x against its view, y to the right of one who looks out, z up); ``tilt_deg``, ``roll_deg``,

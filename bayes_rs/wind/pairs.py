@@ -13,7 +13,7 @@ from bayes_rs._validation import FloatArray, check_choice, check_finite, check_p
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.stress import unpack_stress
-from bayes_rs.noise.theory import probed_covariance
+from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
 PLANES: dict[str, tuple[int, int]] = {"horizontal": (0, 1), "vertical": (0, 2)}
@@ -47,7 +47,7 @@ def reconstruct_pairs(
     Parameters
     ----------
     series : xarray.Dataset
-        Radial velocities, as `read_radial_velocity` returns them.
+        Radial velocities, as `read` returns them.
     scan : Scan
         The scan that measured them.
     plane : {"horizontal", "vertical"}

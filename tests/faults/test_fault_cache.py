@@ -12,8 +12,10 @@ import pytest
 import xarray as xr
 from scenes import plain_noise
 
-from bayes_rs import InputError, MannTurbulence, calibrate, load_noise, load_scan
-from bayes_rs.calibration import calibrating, store
+from bayes_rs import InputError, MannTurbulence, load_scan
+from bayes_rs.noise import at_states, store
+from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.noise.file import load_noise
 
 SCAN = load_scan("2-beam")
 FLOW = MannTurbulence(dissipation=0.04, length_scale=40.0, gamma=2.5)
@@ -51,8 +53,8 @@ def counted(monkeypatch):
     """How often noise was calculated."""
 
     made = []
-    original = calibrating.theory_at_states
-    monkeypatch.setattr(calibrating, "theory_at_states", lambda *a, **o: made.append(1) or original(*a, **o))
+    original = at_states.theory_at_states
+    monkeypatch.setattr(at_states, "theory_at_states", lambda *a, **o: made.append(1) or original(*a, **o))
     return made
 
 
@@ -99,7 +101,7 @@ class TestDamage:
 
     def test_an_entry_of_another_format_version(self, file, right, counted, monkeypatch):
         with monkeypatch.context() as patch:
-            patch.setattr("bayes_rs.noise.file.FILE_VERSION", 0)
+            patch.setattr("bayes_rs.noise.layout.FILE_VERSION", 0)
             load_noise(file).save(file, overwrite=True)
         with pytest.raises(InputError, match="has format version 0 and this program reads 1: calibrate again"):
             load_noise(file)
@@ -108,7 +110,7 @@ class TestDamage:
 
     def test_numbers_of_an_older_version_have_another_name(self, right, tmp_path, monkeypatch, counted):
         with monkeypatch.context() as patch:
-            patch.setattr("bayes_rs.calibration.calibrating.NOISE_VERSION", -1)
+            patch.setattr("bayes_rs.noise.at_states.NOISE_VERSION", -1)
             make(tmp_path)
         assert same(make(tmp_path), right)
         assert counted == [1, 1]
@@ -175,7 +177,7 @@ def _make_many(cache, queue):
     found = []
     for _ in range(4):
         noise = make(cache)
-        found.append(noise.covariance.tobytes() + noise.bias.tobytes())
+        found.append(noise.covariance[0].tobytes() + noise.bias[0].tobytes())
         for file in Path(cache).glob("*.nc"):
             try:
                 load_noise(file)  # whole at any moment
@@ -196,5 +198,5 @@ def test_processes_that_write_one_entry_at_once(tmp_path, right):
     for other in others:
         other.join()
         assert other.exitcode == 0
-    assert {one for many in found for one in many} == {right.covariance.tobytes() + right.bias.tobytes()}
+    assert {one for many in found for one in many} == {right.covariance[0].tobytes() + right.bias[0].tobytes()}
     assert [file for file in tmp_path.iterdir() if file.suffix != ".nc"] == []

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_rs import InputError, load_scan, make_records, read_radial_velocity
+from bayes_rs import InputError, load_scan, make_records, read
 
 SCAN = load_scan("staring")
 START = np.datetime64("2020-03-28T23:50", "ns")
@@ -33,11 +33,11 @@ class TestJumps:
     @pytest.mark.parametrize("years", [-20, -1])
     def test_back(self, tmp_path, years):
         with pytest.raises(InputError, match=r"series\.csv"):
-            read_radial_velocity(write(tmp_path, jumping(years)), SCAN)
+            read(write(tmp_path, jumping(years)), SCAN)
 
     def test_back_and_sorted(self, tmp_path):
         """What the clock says is what counts: the samples stand in two records a year apart, none is lost."""
-        series = read_radial_velocity(write(tmp_path, jumping(-1)), SCAN, out_of_order="sort")
+        series = read(write(tmp_path, jumping(-1)), SCAN, out_of_order="sort")
         records = make_records(series, SCAN, min_availability=0.1)
         assert int(records["count"].sum()) == 600
         used = records["count"].values[:, 0] > 0
@@ -45,20 +45,20 @@ class TestJumps:
         assert (records["flag"].values[~used] != 0).all()
 
     def test_forth_by_a_year(self, tmp_path):
-        records = make_records(read_radial_velocity(write(tmp_path, jumping(1)), SCAN), SCAN, min_availability=0.1)
+        records = make_records(read(write(tmp_path, jumping(1)), SCAN), SCAN, min_availability=0.1)
         assert int(records["count"].sum()) == 600
         assert np.isnan(records["variance"].values[1:-1]).all()
 
     def test_forth_by_centuries(self, tmp_path):
         """Twelve million empty records of ten minutes, or as many of a second: refused before they fill the memory."""
-        series = read_radial_velocity(write(tmp_path, jumping(230)), SCAN)
+        series = read(write(tmp_path, jumping(230)), SCAN)
         with pytest.raises(InputError, match=r"from 2020-03-28.* to 22.*check its first and last times"):
             make_records(series, SCAN, duration=1.0)
 
     @pytest.mark.parametrize("time", ["1677-01-01T00:00:00", "2263-01-01T00:00:00", "9999-12-31T23:59:59"])
     def test_beyond_the_clock(self, tmp_path, time):
         with pytest.raises(InputError, match=rf"Invalid time '{time}' in column 'time', line 5"):
-            read_radial_velocity(write(tmp_path, [*seconds(3), time]), SCAN)
+            read(write(tmp_path, [*seconds(3), time]), SCAN)
 
 
 class TestTexts:
@@ -69,27 +69,27 @@ class TestTexts:
     def test_no_time(self, tmp_path, time):
         """A leap second is written as :60: no clock of 64 bits has it, and it is not moved in silence."""
         with pytest.raises(InputError, match=r"Invalid time .* in column 'time', line 5 of file"):
-            read_radial_velocity(write(tmp_path, [*seconds(3), time]), SCAN)
+            read(write(tmp_path, [*seconds(3), time]), SCAN)
 
     @pytest.mark.parametrize("time", ["2020-10-25T02:30:00", "2020-03-29T02:30:00"])
     def test_the_hour_that_is_twice_or_not_at_all(self, tmp_path, time):
         with pytest.raises(InputError, match="the clock change makes it twice or not at all a time in Europe/Berlin"):
-            read_radial_velocity(write(tmp_path, [time]), SCAN, time_zone="Europe/Berlin")
+            read(write(tmp_path, [time]), SCAN, time_zone="Europe/Berlin")
 
     def test_across_the_change_of_clocks(self, tmp_path):
         local = pd.date_range("2020-03-29 01:59:58", periods=2, freq="s").tolist()
         local += pd.date_range("2020-03-29 03:00:00", periods=2, freq="s").tolist()
-        series = read_radial_velocity(write(tmp_path, [str(time) for time in local]), SCAN, time_zone="Europe/Berlin")
+        series = read(write(tmp_path, [str(time) for time in local]), SCAN, time_zone="Europe/Berlin")
         assert (np.diff(series["time"].values) == np.timedelta64(1, "s")).all()
 
 
 class TestDuplicates:
     def test_that_differ(self, tmp_path):
         with pytest.raises(InputError, match="Two samples of beam 0 at 2020-03-28T23:50:02Z differ"):
-            read_radial_velocity(write(tmp_path, [*seconds(3), *seconds(3)[2:]]), SCAN)
+            read(write(tmp_path, [*seconds(3), *seconds(3)[2:]]), SCAN)
 
     def test_are_counted(self, tmp_path):
         file = write(tmp_path, seconds(600))
         lines = file.read_text().splitlines()
         file.write_text("\n".join([*lines, lines[-1]]) + "\n")
-        assert read_radial_velocity(file, SCAN).sizes["sample"] == 600
+        assert read(file, SCAN).sizes["sample"] == 600

@@ -12,7 +12,8 @@ import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
 
 import bayes_rs as brs
-from bayes_rs import InputError, load_noise
+from bayes_rs import InputError
+from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 
 pytestmark = pytest.mark.slow
@@ -60,7 +61,7 @@ class TestFiles:
         (hidden / "records.csv").write_text("half")
         good = tmp_path / "good.csv"
         good.write_text("time,beam,radial_velocity\n2020-01-01T00:00:00,0,1.0\n2020-01-01T00:00:01,1,1.0\n")
-        series = brs.read_radial_velocity(tmp_path, brs.load_scan("2-beam"))
+        series = brs.read(tmp_path, brs.load_scan("2-beam"))
         assert series.sizes["sample"] == 2
 
 

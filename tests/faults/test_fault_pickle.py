@@ -1,6 +1,7 @@
 """No pickle: nothing that is read can run code. Only worker processes of one run pass pickled jobs among themselves."""
 
 import ast
+import hashlib
 import json
 import pickle
 import zipfile
@@ -9,11 +10,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from bayes_rs.report.folder import _draws_of_store
 
 import bayes_rs
 from bayes_rs.models import models_folder
 from bayes_rs.records import record_store
-from bayes_rs.report.folder import _draws_of_store
 
 PACKAGE = Path(bayes_rs.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -79,8 +80,13 @@ def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
         def __reduce__(self):
             return (Path.touch, (tmp_path / "run",))
 
-    np.savez(tmp_path / "state.npz", meta=np.array([Evil()], dtype=object))
-    assert record_store._load(tmp_path).files == {}
+    state = tmp_path / "state.npz"
+    np.savez(state, meta=np.array([Evil()], dtype=object))
+    content = state.read_bytes()
+    state.write_bytes(content + hashlib.sha256(content).hexdigest().encode())  # with a fingerprint that fits
+    said = []
+    assert record_store._load(tmp_path, "", said.append).files == {}
+    assert "its state cannot be read (ValueError: Object arrays cannot be loaded" in said[0]
     assert not (tmp_path / "run").exists()
 
 

@@ -7,7 +7,8 @@ import pytest
 from fault_scenes import RECORDS, complaint, run
 from scenes import plain_noise
 
-from bayes_rs import InputError, load_noise, load_scan, save_scan
+from bayes_rs import InputError, load_scan, save_scan
+from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_file, output_folder, write_run
 
 SCAN = load_scan("2-beam")

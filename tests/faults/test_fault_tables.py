@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from bayes_rs import InputError, load_scan, make_records, read_radial_velocity
+from bayes_rs import InputError, load_scan, make_records, read
 from bayes_rs.cli import commands
 from bayes_rs.models import models_folder
 from bayes_rs.output import write_csv
@@ -31,7 +31,7 @@ class TestIn:
             file, index=False
         )
         with pytest.raises(InputError, match=r"Invalid radial_velocity .* it must be a number"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     @pytest.mark.parametrize("value", ["1e308", "-1e308", "inf", "nan"])
     def test_huge_values_make_no_record_that_is_used(self, tmp_path, value):
@@ -43,7 +43,7 @@ class TestIn:
         ]
         file.write_text(HEADINGS + "\n".join(rows) + "\n")
         with np.errstate(over="ignore", invalid="ignore"):
-            records = make_records(read_radial_velocity(file, SCAN), SCAN)
+            records = make_records(read(file, SCAN), SCAN)
         assert records["variance"].values[1, 0] == pytest.approx(2.0, rel=1e-12)
         first = records["variance"].values[0, 0]
         assert not np.isfinite(first) or first == pytest.approx(2.0, rel=0.01)
@@ -53,7 +53,7 @@ class TestIn:
         file = tmp_path / "a.csv"
         file.write_text(HEADINGS + "2020-01-01T00:00:00,0,1.0\n2020-01-01T00:00:01,0,1e999\n")
         try:
-            series = read_radial_velocity(file, SCAN)
+            series = read(file, SCAN)
         except InputError as error:
             refusal = str(error)
         else:
@@ -67,12 +67,12 @@ class TestIn:
     def test_other_encodings(self, tmp_path, content):
         (tmp_path / "a.csv").write_bytes(content)
         with pytest.raises(InputError, match=r"a\.csv") as caught:
-            read_radial_velocity(tmp_path / "a.csv", SCAN)
+            read(tmp_path / "a.csv", SCAN)
         assert len(str(caught.value)) < 8000
 
     def test_a_byte_order_mark(self, tmp_path):
         (tmp_path / "a.csv").write_text(f"\ufeff{HEADINGS}2020-01-01T00:00:00,0,1.0\n", encoding="utf-8")
-        assert read_radial_velocity(tmp_path / "a.csv", SCAN).sizes["sample"] == 1
+        assert read(tmp_path / "a.csv", SCAN).sizes["sample"] == 1
 
     @pytest.mark.parametrize("suffix", [".gz", ".bz2", ".xz", ".zip"])
     def test_bombs(self, tmp_path, monkeypatch, suffix):
@@ -86,7 +86,7 @@ class TestIn:
             with {".gz": gzip, ".bz2": bz2, ".xz": lzma}[suffix].open(file, "wb") as packed:
                 packed.write(content)
         with pytest.raises(InputError, match="unpacks to more than 10000000 bytes"):
-            read_radial_velocity(file, SCAN)
+            read(file, SCAN)
 
     @pytest.mark.parametrize("name", ["../../evil.csv", "/etc/evil.csv", "a\\..\\evil.csv", "=1.csv"])
     def test_paths_in_an_archive_lead_nowhere(self, tmp_path, name):
@@ -94,7 +94,7 @@ class TestIn:
         file = tmp_path / "here" / "a.csv.zip"
         with zipfile.ZipFile(file, "w") as archive:
             archive.writestr(name, f"{HEADINGS}2020-01-01T00:00:00,0,1.0\n")
-        assert read_radial_velocity(file, SCAN).sizes["sample"] == 1
+        assert read(file, SCAN).sizes["sample"] == 1
         assert {path.name for path in tmp_path.rglob("*")} == {"here", "a.csv.zip"}
 
 

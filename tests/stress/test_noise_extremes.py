@@ -9,7 +9,7 @@ import pytest
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.turbulence.mann import MannTurbulence
 
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
@@ -35,22 +35,22 @@ def cone(angle_deg, n_beam=6, *, distance=98.0, scan_duration=1.0):
 
 def check(noise):
     """Finite, symmetric, positive semi-definite to rounding, with variances that a record can have."""
-    assert np.all(np.isfinite(noise.covariance))
-    assert np.all(np.isfinite(noise.bias))
-    np.testing.assert_array_equal(noise.covariance, noise.covariance.T)
-    eigenvalues = np.linalg.eigvalsh(noise.covariance)
+    assert np.all(np.isfinite(noise.covariance[0]))
+    assert np.all(np.isfinite(noise.bias[0]))
+    np.testing.assert_array_equal(noise.covariance[0], noise.covariance[0].T)
+    eigenvalues = np.linalg.eigvalsh(noise.covariance[0])
     assert eigenvalues[0] >= -ROUNDING * noise.n_beam * eigenvalues[-1]
-    spread = np.diag(noise.covariance)
+    spread = np.diag(noise.covariance[0])
     assert np.all(spread > 0.0)
     assert np.all(spread <= 2.0 * (1.0 + noise.details["covariance_error"]))  # N samples that are one: χ² of one degree
-    assert np.all(noise.bias < noise.details["velocity_covariance_error"] * 10.0)
-    assert np.all(noise.bias >= -1.0)
+    assert np.all(noise.bias[0] < noise.details["velocity_covariance_error"] * 10.0)
+    assert np.all(noise.bias[0] >= -1.0)
     assert noise.details["negative_part"] <= noise.details["covariance_error"] * noise.n_beam / eigenvalues[-1]
     return noise
 
 
 def distance(one, other):
-    return np.linalg.norm(one.covariance - other.covariance) / np.linalg.norm(other.covariance)
+    return np.linalg.norm(one.covariance[0] - other.covariance[0]) / np.linalg.norm(other.covariance[0])
 
 
 class TestExtremes:
@@ -58,7 +58,7 @@ class TestExtremes:
     def test_two_beams_from_coincident_to_10_km_apart(self, apart):
         place = [[-98.0, 0.0, 0.0], [-98.0, 0.6 * apart, 0.8 * apart]]
         noise = check(theory_noise(points(place), FLOW, wind_speed=10.0))
-        correlation = noise.correlation[0, 1]
+        correlation = noise.correlation[0, 0, 1]
         if apart <= 1e-3:
             assert correlation == pytest.approx(1.0, abs=2.0 * noise.details["covariance_error"])
         if apart >= 1e3:  # 16 L; sheared eddies reach far: 0.0063 there at every tolerance
@@ -164,14 +164,14 @@ class TestLaws:
         one, other = (
             self.noise(load_scan("6-beam"), replace(FLOW, dissipation=f * FLOW.dissipation)) for f in (1.0, factor)
         )
-        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-12)
-        np.testing.assert_allclose(other.bias, one.bias, rtol=1e-11)
+        np.testing.assert_allclose(other.covariance[0], one.covariance[0], rtol=1e-12)
+        np.testing.assert_allclose(other.bias[0], one.bias[0], rtol=1e-11)
 
     def test_order_of_the_beams(self):
         scan = load_scan("6-beam")
         mixed = [3, 0, 5, 1, 4, 2]
         one, other = self.noise(scan), self.noise(scan.select(mixed))
-        np.testing.assert_allclose(other.covariance, one.covariance[np.ix_(mixed, mixed)], rtol=1e-11)
+        np.testing.assert_allclose(other.covariance[0], one.covariance[0, np.ix_(mixed, mixed)], rtol=1e-11)
 
     def test_a_duplicate_beam_changes_nothing_but_doubles_it(self):
         scan = load_scan("6-beam")
@@ -184,15 +184,15 @@ class TestLaws:
         )
         one, other = self.noise(scan), self.noise(twice)
         index = [0, 1, 2, 3, 4, 5, 2]
-        size = np.max(one.covariance)
-        np.testing.assert_allclose(other.covariance, one.covariance[np.ix_(index, index)], atol=1e-12 * size)
+        size = np.max(one.covariance[0])
+        np.testing.assert_allclose(other.covariance[0], one.covariance[0, np.ix_(index, index)], atol=1e-12 * size)
 
     def test_reversed_beams(self):
         """n → −n with the places turned about, too: separations change sign, in which covariances are even."""
         place = load_scan("6-beam").line_of_sight * 98.0
         one, other = (self.noise(points(sign * place)) for sign in (1.0, -1.0))
-        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-10)
-        np.testing.assert_allclose(other.bias, one.bias, rtol=1e-10)
+        np.testing.assert_allclose(other.covariance[0], one.covariance[0], rtol=1e-10)
+        np.testing.assert_allclose(other.bias[0], one.bias[0], rtol=1e-10)
 
     @pytest.mark.parametrize("factor", [0.5, 4.0])
     def test_only_ratios_count(self, factor):
@@ -205,14 +205,14 @@ class TestLaws:
         by_time = self.noise(slower, flow, duration=factor * 300.0)
         by_speed = self.noise(larger, flow, wind_speed=factor * 8.0)
         for other in (by_time, by_speed):
-            np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-9)
-            np.testing.assert_allclose(other.bias, one.bias, rtol=1e-8)
+            np.testing.assert_allclose(other.covariance[0], one.covariance[0], rtol=1e-9)
+            np.testing.assert_allclose(other.bias[0], one.bias[0], rtol=1e-8)
 
     def test_mirror_image_in_the_vertical_plane(self):
         scan = load_scan("6-beam")
         mirrored = replace(scan, beam_direction=scan.beam_direction * [1.0, -1.0, 1.0])
         one, other = self.noise(scan, yaw=0.3), self.noise(mirrored, yaw=-0.3)
-        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-10)
+        np.testing.assert_allclose(other.covariance[0], one.covariance[0], rtol=1e-10)
 
 
 class TestRandom:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance, summary
-from bayes_rs.fits.result import FLAGS
+from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.noise.model import NoiseModel
+from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import FlatPrior
 
 SAMPLERS = ("emcee", "direct", "auto")
@@ -22,7 +22,7 @@ def fitted(records, scan, noise, **options):
 
 
 def given_noise(scan, covariance):
-    return NoiseModel(
+    return Noise(
         bias=np.full(scan.n_beam, -0.1),
         gain=design_matrix(scan),
         covariance=covariance,
@@ -127,7 +127,7 @@ def test_a_beam_twice_with_the_same_data_changes_nothing():
         beam=np.append(single.beam, 99),
     )
     noise = plain_noise(single)
-    twice = given_noise(doubled, noise.covariance[np.ix_(index, index)])
+    twice = given_noise(doubled, noise.covariance[0, np.ix_(index, index)])
     variance = draw_variances(WeakPrior().draw(2, 4), single, noise, np.random.default_rng(4))
     _, plain = fitted(records_of(variance, single), single, noise, target_ess=2000)
     _, again = fitted(records_of(variance[:, index], doubled), doubled, twice, target_ess=2000)
@@ -176,4 +176,4 @@ def test_a_beam_ten_times_too_energetic_is_told():
     assert np.isfinite(draws).all()
     flags = result["sample_stats/flag"].values & FLAGS["contradicts_model"]
     np.testing.assert_array_equal(flags != 0, np.arange(5) == 2)
-    assert summary(result).query("record == 2")["flag"].str.contains("contradicts_model").all()
+    assert result.summary().query("record == 2")["flag"].str.contains("contradicts_model").all()

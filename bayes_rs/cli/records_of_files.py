@@ -1,0 +1,52 @@
+"""Records of the files that a command names: read, or made of radial velocities."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from bayes_rs.cli.options import refuse_without_effect
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayes_rs.fits.settings import Settings
+    from bayes_rs.geometry.scan import Scan
+
+
+def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
+    """Read records that were made before, or make them; say on stderr what was read and dropped."""
+    from bayes_rs.records.record_files import open_record_files
+
+    scan = settings.scan.load()
+    made = open_record_files(settings.files.files, scan)
+    if made is not None:
+        refuse_without_effect(settings.files.files)
+        return made, scan
+    return records_of(series_of(settings, scan), scan, settings), scan
+
+
+def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
+    """Read radial velocities."""
+    from bayes_rs.readers.reading import read
+
+    return read(list(settings.files.files), scan, **settings.files.of_reading())
+
+
+def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
+    """Make records, and say on stderr what was read and dropped."""
+    from bayes_rs.options import to_plain
+    from bayes_rs.records.making import make_records
+    from bayes_rs.records.report import describe_report
+    from bayes_rs.wind.motion import add_motion
+
+    own = {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
+    made = make_records(series, scan, quality=settings.quality, **own)
+    for line in describe_report(made):
+        click.echo(line, err=True)
+    made = add_motion(made, scan, settings.records, settings.files)
+    if settings.records.motion:
+        without = int((made["motion_count"] == 0).sum())
+        click.echo(f"tilt and roll from {len(settings.records.motion)} files; {without} records without", err=True)
+    return made

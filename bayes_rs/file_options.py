@@ -1,0 +1,267 @@
+"""How files of radial velocities are written: every option of reading, once."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from datetime import timedelta, timezone, tzinfo
+from typing import Any, ClassVar
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+
+from bayes_rs._validation import check_choice, check_finite, check_positive
+from bayes_rs.errors import InputError
+from bayes_rs.options import described, option, options_of
+
+NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
+DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
+"""What a table of rays calls where each of them points, in place of a beam's number."""
+SIGNS = ("away", "towards")
+TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
+TIME_FORMATS = ("unix", "labview", "matlab")
+VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0}
+DECIMALS = (".", ",")
+TURNS = ("up", "down")
+OUT_OF_ORDER = ("error", "sort")
+ON_BAD_FILE = ("error", "skip")
+
+OF_READING = ("file_format", "out_of_order", "on_bad_file")
+"""Options that are a matter of one reading, not of an instrument: a scan's ``[file]`` table does not have them."""
+
+_WIDE_NAME = re.compile(r"(?:(?:vr|beam|cnr|status)_)?-?\d+")
+_FIXED_OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?(\d{2}))?")
+_LONGEST = 200  # characters of an entry: no heading is longer, and a message stays one line
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class FileOptions:
+    """How the files of a lidar are written, and what to do with bad ones.
+
+    Raises
+    ------
+    InputError
+        If a value is not valid.
+
+    Notes
+    -----
+    What is None, or an empty mapping, is not said. An option that is said counts before the scan's own ``[file]``
+    table, which counts before the default of the file's format, which counts before the general default: positive
+    away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
+
+    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also
+    ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
+    number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
+    files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)
+    or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
+    times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
+    of their spacing of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign,
+    stamp and zone stands in docs/formats.md.
+
+    Examples
+    --------
+    >>> FileOptions(positive="towards", invalid=9999).given()
+    {'positive': 'towards', 'invalid': (9999.0,)}
+    """
+
+    file_format: str = option(
+        "auto",
+        "Format of the files; auto finds it from their suffix and what they hold",
+        choices="bayes_rs.readers.registry:FORMATS",
+        flag="--format",
+    )
+    columns: Mapping[str, str] = option(
+        {},
+        "What the files call our names, as radial_velocity=RWS",
+        flag="--column",
+        metavar="OURS=THEIRS",
+    )
+    beam_numbers: Mapping[str, int] = option(
+        {}, "The scan's number of a beam of the files, as LOS2=2", flag="--beam-number", metavar="THEIRS=OURS"
+    )
+    positive: str | None = option(None, "Direction in which the files count radial velocity positive", choices=SIGNS)
+    velocity_unit: str | None = option(None, "Unit of the radial velocity in the files", choices=tuple(VELOCITY_UNITS))
+    invalid: float | Sequence[float] | None = option(
+        None, "Numbers that mark a missing entry, such as 9999", metavar="NUMBER"
+    )
+    time_zone: str | None = option(None, "Zone of times that carry none, as UTC, UTC+1 or Europe/Berlin")
+    time_format: str | None = option(
+        None, "How times are written if not in ISO 8601: a pattern as %d.%m.%Y %H:%M:%S, or unix, labview or matlab"
+    )
+    time_stamp: str | None = option(
+        None, "What a time in the files stands for: the start, middle or end of a sample", choices=tuple(TIME_STAMPS)
+    )
+    sample_duration: float | None = option(
+        None, "Length of a sample where the files do not say it, for time_stamp", unit="s"
+    )
+    separator: str | None = option(None, "What separates the entries of a text file: one character, or tab")
+    decimal: str | None = option(None, "Decimal sign of a text file", choices=DECIMALS)
+    status_valid: float | None = option(None, "Status of a good sample; make_records drops the others")
+    angle_tolerance_deg: float | None = option(
+        None, "Largest angle between a ray and its beam", unit="degrees", flag="--angle-tolerance"
+    )
+    range_tolerance: float | None = option(
+        None, "Largest difference between a gate and a beam's focus distance", unit="m"
+    )
+    phase_zero_deg: float | None = option(
+        None, "Where on its cone a ZX's phase is zero: 0 is sideways (y), 90 up", unit="degrees", flag="--phase-zero"
+    )
+    phase_turns: str | None = option(None, "Which way a ZX's phase turns from there", choices=TURNS)
+    out_of_order: str = option(
+        "error",
+        "What to do where time goes backwards, or a beam has two velocities at one time: refuse, or sort",
+        choices=OUT_OF_ORDER,
+    )
+    on_bad_file: str = option(
+        "error",
+        "What to do with a file that cannot be used: refuse all, or skip it and name it in the report",
+        choices=ON_BAD_FILE,
+    )
+
+    names: ClassVar[tuple[str, ...]] = (*NAMES, *DIRECTION_NAMES)
+    """What `columns` may name, beside the columns of a wide table."""
+
+    def __post_init__(self) -> None:
+        """Check the options, and bring them into one form."""
+
+        def put(name: str, as_one: Callable[..., Any], **rule: Any) -> None:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, as_one(value, what=name, **rule))
+
+        for entry in fields(self):
+            _check_length(entry.name, getattr(self, entry.name))
+        for name in ("columns", "beam_numbers"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, {})
+        for name in ("file_format", "time_zone"):
+            put(name, _text)
+        put("columns", _columns, names=self.names)
+        put("beam_numbers", _beam_numbers)
+        for name, choices in (
+            ("positive", SIGNS),
+            ("velocity_unit", tuple(VELOCITY_UNITS)),
+            ("time_stamp", tuple(TIME_STAMPS)),
+            ("decimal", DECIMALS),
+            ("phase_turns", TURNS),
+            ("out_of_order", OUT_OF_ORDER),
+            ("on_bad_file", ON_BAD_FILE),
+        ):
+            put(name, _choice, choices=choices)
+        put("invalid", _numbers)
+        put("time_format", _time_format)
+        put("separator", _separator)
+        put("status_valid", _number, check=check_finite, unit="")
+        put("phase_zero_deg", _number, check=check_finite, unit="degrees")
+        for name, unit in (("sample_duration", "s"), ("angle_tolerance_deg", "degrees"), ("range_tolerance", "m")):
+            put(name, _number, check=check_positive, unit=unit)
+        if self.time_zone is not None:
+            as_zone(self.time_zone)
+
+    def given(self) -> dict[str, Any]:
+        """Return the options that are said, by name."""
+        return {
+            entry.name: value
+            for entry in options_of(FileOptions)
+            if (value := getattr(self, entry.name)) != entry.default
+        }
+
+
+def as_zone(name: str) -> tzinfo:
+    """Return the time zone called `name`: an IANA name such as Europe/Berlin, or an offset such as UTC+1 or +01:00."""
+    offset = _FIXED_OFFSET.fullmatch(name.strip())
+    if offset is not None:
+        sign, hours, minutes = offset.groups()
+        shift = timedelta(hours=int(hours), minutes=int(minutes or 0))
+        if shift < timedelta(hours=24):
+            return timezone(shift if sign == "+" else -shift)
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError) as error:
+        raise InputError(
+            f"Unknown time_zone {name!r}: it must be a name such as UTC or Europe/Berlin, or an offset such as UTC+1."
+        ) from error
+
+
+def _check_length(name: str, value: Any) -> None:
+    """Refuse an entry that no file has, so that every message is one line."""
+    if isinstance(value, Mapping):
+        parts = [*value, *value.values()]
+    else:
+        parts = list(value) if isinstance(value, (list, tuple)) else [value]
+    for part in parts:
+        text = repr(part)
+        if len(text) > _LONGEST:
+            raise InputError(
+                f"Invalid {name} {text[:60]}…: an entry of {len(text)} characters is no option; at most {_LONGEST} "
+                "may be."
+            )
+
+
+def _text(value: object, *, what: str) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"Invalid {what} {value!r}: it must be a text.")
+    return value
+
+
+def _choice(value: str, *, what: str, choices: tuple[str, ...]) -> str:
+    return check_choice(value, choices, what=what)
+
+
+def _number(value: Any, *, what: str, check: Callable[..., float], unit: str) -> float:
+    if isinstance(value, (bool, str)):  # as in a file that has true or "1" for a number
+        raise InputError(f"Invalid {what} {value!r}{' ' + unit if unit else ''}: it must be a finite number.")
+    return check(value, what=what, unit=unit)
+
+
+def _numbers(value: float | Sequence[float], *, what: str) -> tuple[float, ...]:
+    items = list(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else [value]
+    return tuple(_number(item, what=f"entry of {what}", check=check_finite, unit="") for item in items)
+
+
+def _mapping(value: object, *, what: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"Invalid {what} {value!r}: it must be a mapping from names to names or numbers.")
+    return {str(key): item for key, item in value.items()}
+
+
+def _columns(value: object, *, what: str, names: tuple[str, ...]) -> dict[str, str]:
+    columns = _mapping(value, what=what)
+    for name, column in columns.items():
+        if name not in names and not _WIDE_NAME.fullmatch(name):
+            raise InputError(
+                f"Unknown name {name!r} in columns: it must be one of {', '.join(names)}, or for "
+                "a wide table vr_<beam number>, cnr_<beam number> or status_<beam number>."
+            )
+        if isinstance(column, bool) or not isinstance(column, (str, int, np.integer)):
+            raise InputError(f"Invalid column {column!r} for {name!r} in columns: it must be a heading, or a number.")
+    return {name: str(column) for name, column in columns.items()}
+
+
+def _beam_numbers(value: object, *, what: str) -> dict[str, int]:
+    numbers = _mapping(value, what=what)
+    for label, number in numbers.items():
+        if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
+            raise InputError(
+                f"Invalid beam_numbers entry {label!r}: {number!r}: it must be a whole number, the scan's beam number."
+            )
+    return {label.strip(): int(number) for label, number in numbers.items()}
+
+
+def _time_format(value: object, *, what: str) -> str:
+    if isinstance(value, str) and (value in TIME_FORMATS or "%" in value):
+        return value
+    raise InputError(
+        f"Unknown {what} {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
+        "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
+    )
+
+
+def _separator(value: object, *, what: str) -> str:
+    if value in ("tab", "\\t"):
+        return "\t"
+    if not isinstance(value, str) or len(value) != 1 or value.isalnum() or value in "\r\n\"'":
+        raise InputError(f"Invalid {what} {value!r}: it must be one character such as ',' or ';', or 'tab'.")
+    return value

@@ -1,0 +1,17 @@
+"""Names of the columns of the table ``posterior`` of a fit."""
+
+from __future__ import annotations
+
+from bayes_rs.geometry.stress import STRESSES
+
+ALONG = tuple(f"direction_{number}" for number in range(1, len(STRESSES) + 1))
+"""Columns with the contraction along each direction of R; the directions themselves stand in `run.json`."""
+ALONG_SHAPE = tuple(f"direction_shape_{number}" for number in range(1, len(STRESSES) + 1))
+"""The same of the shape of R."""
+CORRELATED = tuple(f"autocorrelation_time_{name}" for name in STRESSES)
+"""Columns with the autocorrelation times of the stresses, sampler steps."""
+PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
+COVARIANCES = tuple(f"cov_{STRESSES[i]}_{STRESSES[j]}" for i, j in PAIRS)
+"""Columns with the posterior covariances of the stresses, m⁴ s⁻⁴."""
+PER_RECORD = ("acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
+"""Columns with one number a record; NaN where it was not fitted."""

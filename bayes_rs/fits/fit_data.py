@@ -1,0 +1,334 @@
+"""What a fit holds, wherever it is: tables, draws, records, flags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.fits.columns import COVARIANCES, PAIRS
+from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
+from bayes_rs.fits.words import record_name
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.stress import STRESSES
+
+_BATCH = 128
+"""Records whose draws are held at a time."""
+
+
+class Tables(Protocol):
+    """Where the tables of a fit are."""
+
+    @property
+    def datasets(self) -> tuple[str, ...]:
+        """Names of the tables that there are."""
+
+    def read(
+        self, dataset: str, columns: Sequence[str] | None = None, records: NDArray[np.int64] | None = None
+    ) -> pd.DataFrame:
+        """Return a table, or some columns of it, of all records or of those in a range that holds the given ones."""
+
+
+@dataclass(frozen=True)
+class MemoryTables:
+    """Tables in memory."""
+
+    tables: Mapping[str, pd.DataFrame]
+
+    @property
+    def datasets(self) -> tuple[str, ...]:
+        """Names of the tables that there are."""
+        return tuple(self.tables)
+
+    def read(
+        self, dataset: str, columns: Sequence[str] | None = None, records: NDArray[np.int64] | None = None
+    ) -> pd.DataFrame:
+        """Return a table, or some columns of it; its rows are in the order of the records."""
+        table = self.tables[dataset]
+        if records is not None and len(records):
+            ends = np.searchsorted(table["record"].to_numpy(), [records.min(), records.max() + 1])
+            table = table.iloc[ends[0] : ends[1]]
+        return table if columns is None else table[list(columns)]
+
+
+@dataclass(frozen=True, eq=False)
+class FitData:
+    """What a fit holds, in memory or in a folder; `Fit` adds what is made of it.
+
+    Parameters
+    ----------
+    run : mapping
+        What was run, as plain values: settings, versions, scan, prior, noise, counts; the content of ``run.json``.
+    scan : Scan
+        The scan, with the records' beams.
+    source : Tables
+        Where its tables are.
+    loaded : callable
+        Returns the records and the draws of the prior.
+    place : str
+        The folder, for messages; empty in memory.
+    """
+
+    run: Mapping[str, Any]
+    scan: Scan
+    source: Tables
+    loaded: Any
+    place: str = ""
+
+    @cached_property
+    def records(self) -> xr.Dataset:
+        """The records that were fitted."""
+        records: xr.Dataset = self.loaded.records()
+        return records
+
+    @cached_property
+    def prior_draws(self) -> FloatArray:
+        """Draws of the prior, shape (n, 6), m² s⁻²."""
+        return np.asarray(self.loaded.prior_draws(), dtype=np.float64)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Everything that the fit depended on, section by section, as plain values."""
+        settings: Mapping[str, Any] = self.run["settings"]
+        return settings
+
+    @property
+    def n_record(self) -> int:
+        """Number of records."""
+        return int(self.run["n_record"])
+
+    @cached_property
+    def flag(self) -> NDArray[np.int64]:
+        """Flags of the records, shape (n_record,): bit masks as in `FLAGS`."""
+        return self.source.read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
+
+    @property
+    def fitted(self) -> NDArray[np.bool_]:
+        """Which records have a posterior, shape (n_record,)."""
+        return np.asarray((self.flag & UNFITTED) == 0)
+
+    @property
+    def n_fitted(self) -> int:
+        """Number of records that have a posterior."""
+        return int(np.count_nonzero(self.fitted))
+
+    @property
+    def flags(self) -> dict[str, int]:
+        """How many records have each flag."""
+        return {word: int(np.count_nonzero(self.flag & bit)) for word, bit in FLAGS.items()}
+
+    @cached_property
+    def time(self) -> NDArray[np.datetime64]:
+        """Starts of the records, shape (n_record,); NaT where there is no time."""
+        return self.source.read("posterior", ["record", "time"])["time"].to_numpy().astype("datetime64[ns]")
+
+    @property
+    def has_draws(self) -> bool:
+        """Whether the draws were kept."""
+        return "draws" in self.source.datasets
+
+    @property
+    def nuisance_names(self) -> tuple[str, ...]:
+        """Names of the nuisances that were sampled."""
+        names: Sequence[str] = self.run["nuisance_names"]
+        return tuple(names)
+
+    def table(self, dataset: str) -> pd.DataFrame:
+        """Return a table as it was written.
+
+        Parameters
+        ----------
+        dataset : str
+            ``"summary"``; ``"posterior"``, a row a record with flag, sampler, diagnostics, covariances of the stresses
+            and contractions along the directions of R; or, where draws were kept, ``"draws"`` or ``"predicted"``.
+
+        Returns
+        -------
+        table : DataFrame
+            In the order of the records.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+        """
+        if dataset not in self.source.datasets:
+            raise (
+                self._no_draws()
+                if dataset in ("draws", "predicted")
+                else InputError(f"No table {dataset!r} of this fit: it has {', '.join(self.source.datasets)}.")
+            )
+        return self.source.read(dataset)
+
+    def covariance(self) -> FloatArray:
+        """Return the posterior covariances of the stresses.
+
+        Returns
+        -------
+        covariance : ndarray, shape (n_record, 6, 6)
+            m⁴ s⁻⁴; NaN for records that were not fitted.
+        """
+        rows = self.source.read("posterior", list(COVARIANCES))
+        matrix = np.empty((len(rows), len(STRESSES), len(STRESSES)))
+        for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True):
+            matrix[:, i, j] = matrix[:, j, i] = rows[name].to_numpy()
+        return matrix
+
+    def draws(self, record: int | str | None = None) -> FloatArray:
+        """Return the posterior's draws of the stresses.
+
+        Parameters
+        ----------
+        record : int or str, optional
+            Number of a record, or its start as ISO time (UTC); by default all records.
+
+        Returns
+        -------
+        draws : ndarray, shape (n_record, n_chain, n_draw, 6), or (n_chain, n_draw, 6) of one record
+            m² s⁻²; NaN for records that were not fitted.
+
+        Raises
+        ------
+        InputError
+            If the draws were not kept, or there is no such record, or it was not fitted.
+        """
+        if record is None:
+            return self._draws_of(np.arange(self.n_record), "draws", STRESSES)
+        return np.asarray(self._draws_of(np.array([self.find_record(record)]), "draws", STRESSES)[0])
+
+    def batches(self) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
+        """Give the draws of all fitted records some records at a time.
+
+        Yields
+        ------
+        record : ndarray of int, shape (n,)
+            Numbers of the records.
+        draws : ndarray, shape (n, n_chain, n_draw, 6)
+            m² s⁻².
+
+        Raises
+        ------
+        InputError
+            If the draws were not kept.
+        """
+        fitted = self.fitted
+        for first in range(0, self.n_record, _BATCH):
+            rows = np.arange(first, min(first + _BATCH, self.n_record))
+            rows = rows[fitted[rows]]
+            if len(rows):
+                yield rows, self._draws_of(rows, "draws", STRESSES)
+
+    def nuisance_draws(self, name: str) -> FloatArray:
+        """Return the draws of a nuisance that was sampled.
+
+        Parameters
+        ----------
+        name : str
+            One of `nuisance_names`.
+
+        Returns
+        -------
+        draws : ndarray, shape (n_record, n_chain, n_draw)
+            In the units of the group ``posterior``.
+
+        Raises
+        ------
+        InputError
+            If it was not sampled, or the draws were not kept.
+        """
+        if name not in self.nuisance_names:
+            known = ", ".join(self.nuisance_names) or "none"
+            raise InputError(f"No nuisance {name!r} was sampled: those of this fit are {known}.")
+        return self._draws_of(np.arange(self.n_record), "draws", (name,))[..., 0]
+
+    def predicted_draws(self) -> FloatArray:
+        """Return radial variances that the posterior predicts.
+
+        Returns
+        -------
+        draws : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
+            m² s⁻²; NaN for beams that a record does not use.
+
+        Raises
+        ------
+        InputError
+            If the draws were not kept.
+        """
+        beams = [f"beam_{number}" for number in self.scan.beam.tolist()]
+        return self._draws_of(np.arange(self.n_record), "predicted", beams)
+
+    def find_record(self, record: int | str) -> int:
+        """Return the number of a fitted record.
+
+        Parameters
+        ----------
+        record : int or str
+            Number of the record, or its start as ISO time (UTC).
+
+        Returns
+        -------
+        number : int
+            Its place among the records.
+
+        Raises
+        ------
+        InputError
+            If there is no such record, or it was not fitted.
+        """
+        if isinstance(record, str) and not record.lstrip("-").isdecimal():
+            index = self._at(record)
+        else:
+            index = int(record)
+            if not 0 <= index < self.n_record:
+                raise InputError(f"No record {index}: there are {self.n_record}, numbered from 0.")
+        if not self.fitted[index]:
+            raise InputError(
+                f"Record {index} was not fitted ({flag_words(int(self.flag[index]))}): choose another one."
+            )
+        return index
+
+    @property
+    def record_names(self) -> list[str]:
+        """What to call the records: their numbers, and their starts where these are known."""
+        return [record_name(number, time) for number, time in enumerate(self.time)]
+
+    def _at(self, record: str) -> int:
+        try:
+            stamp = pd.Timestamp(record)
+            wanted = (stamp.tz_convert("UTC").tz_localize(None) if stamp.tz else stamp).to_datetime64()
+        except ValueError as error:
+            raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.") from error
+        match = np.flatnonzero(self.time == wanted)
+        if len(match) == 0:
+            first, last = (str(time)[:19] for time in self.time[[0, -1]])
+            raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC).")
+        return int(match[0])
+
+    def _draws_of(self, record: NDArray[np.int64], dataset: str, names: Sequence[str]) -> FloatArray:
+        """Return draws (len(record), n_chain, n_draw, len(names)) of a table with one row a draw."""
+        if dataset not in self.source.datasets:
+            raise self._no_draws()
+        table = self.source.read(dataset, ["record", *names], record)
+        n_chain, n_draw = int(self.run["n_chain"]), int(self.run["n_draw" if dataset == "draws" else "n_predicted"])
+        found = np.full((len(record), n_chain, n_draw, len(names)), np.nan)
+        number = table["record"].to_numpy()
+        there = np.unique(number)  # the draws of a record stand together, in the order of the records
+        values = np.stack([table[name].to_numpy(dtype=np.float64) for name in names], axis=-1)
+        values = values.reshape(len(there), n_chain, n_draw, len(names))
+        _, of_found, of_values = np.intersect1d(record, there, assume_unique=True, return_indices=True)
+        found[of_found] = values[of_values]
+        return found
+
+    def _no_draws(self) -> InputError:
+        where = f" in {self.place!r}" if self.place else ""
+        return InputError(
+            f"The fit{where} kept no draws, which this needs: fit again with draws='float32' (--draws float32)."
+        )

@@ -1,0 +1,217 @@
+"""A fit in a folder: written part by part, and read as the same object."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_options import MOST_KEPT
+from bayes_rs.fits.parts import Done, Part, fit_part
+from bayes_rs.fits.plan import LAYOUT, PART_RECORDS, Plan
+from bayes_rs.fits.tables import names_of_part, part_names, read_table, write_table
+from bayes_rs.fits.workers import done_parts
+from bayes_rs.geometry.scan_file import load_scan_text
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.output import write_csv, write_netcdf
+from bayes_rs.progress import progress_counter
+from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
+
+PRIOR_FILE = "prior.parquet"
+RECORDS_FILE = "records.nc"
+ARVIZ_FILE = "posterior.nc"
+PLAN_FILE = "fit-key.json"
+"""Says of which data the parts in a folder are: files can be added to those that a run has read."""
+MOST_CSV = 20_000
+"""Records up to which the summary is written as CSV, too."""
+DATASETS = ("summary", "posterior", "draws", "predicted")
+
+
+def fit_into(
+    folder: ResultFolder,
+    plan: Plan,
+    *,
+    workers: int = 1,
+    client: Any = None,
+    progress: bool | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> None:
+    """Do what a plan has left to do in a folder, and finish it.
+
+    Parameters
+    ----------
+    folder : ResultFolder
+        From `begin_result_folder`.
+    plan : Plan
+        From `plan_fit`.
+    workers, client, progress
+        As for `fit`.
+    more : mapping, optional
+        What else `run.json` says.
+
+    Raises
+    ------
+    LostResultsError
+        If files that were written are gone, or are not what was written.
+    WorkerError
+        If worker processes die again and again.
+    OSError
+        If a part cannot be written, as on a full disk.
+    """
+    began = time.perf_counter()
+    _only_of(plan, folder)
+    run = {**plan.run, **(more or {})}
+    folder.write_run(run)
+    left = [part for part in plan.parts if any(folder.damage(name) for name in _names(plan, part))]
+    n_resumed = n_done = plan.n_record - sum(len(part.batch) for part in left)
+    silent = None if progress is None else not progress
+    of_index = {part.index: part for part in left}
+    try:
+        if folder.damage(PRIOR_FILE):
+            write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
+        if folder.damage(RECORDS_FILE):
+            folder.write(RECORDS_FILE, partial(write_netcdf, plan.records))
+        with (
+            progress_counter(plan.n_record, "fitting", " records", initial=n_resumed, disable=silent) as bar,
+            closing(done_parts(fit_part, plan.shared, left, workers, client)) as finished,
+        ):
+            for done in finished:
+                _write_part(folder, done, of_index[done.index])
+                n_done += len(done.tables["posterior"])
+                bar.update(len(done.tables["posterior"]))
+    except BaseException as error:
+        error.add_note(
+            f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: the same call with "
+            "resume goes on from there."
+        )
+        raise
+    found = Fit(run, plan.scan, FolderTables(folder), _InFolder(folder), str(folder.path))
+    _write_exports(folder, found)
+    counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
+    seconds = {**run.get("seconds", {}), "fitting": round(time.perf_counter() - began, 3)}
+    folder.finish({**run, **counts, "seconds": seconds})
+
+
+def open_fit(folder: str | Path) -> Fit:
+    """Open the fit in a folder; tables and draws are read when they are asked for.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Output folder of `fit` or of ``bayes-rs fit``.
+
+    Returns
+    -------
+    fit : Fit
+        As `fit` returned it. Every file is compared with its fingerprint when it is read.
+
+    Raises
+    ------
+    InputError
+        If it is not the folder of a fit, the fit has not ended, or `run.json` was changed since it was written.
+
+    Examples
+    --------
+    >>> import tempfile, bayes_rs as brs
+    >>> records = brs.make_records(brs.simulate("2-beam", wind_speed=10.0, n_records=2, seed=1), "2-beam")
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     found = brs.fit(records, "2-beam", seed=1, output=f"{place}/two")
+    ...     open_fit(f"{place}/two").summary().equals(found.summary())
+    True
+    """
+    opened = open_result_folder(folder)
+    run = opened.run()
+    if "settings" not in run or "n_record" not in run:
+        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command, or the fit has not begun.")
+    if not opened.finished:
+        raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
+    scan = load_scan_text(run["scan_toml"], name=run["scan"])
+    return Fit(run, scan, FolderTables(opened), _InFolder(opened), str(folder))
+
+
+@dataclass(frozen=True, eq=False)
+class FolderTables:
+    """Tables in a folder of results."""
+
+    folder: ResultFolder
+
+    @cached_property
+    def _names(self) -> dict[str, list[str]]:
+        found = {dataset: part_names(self.folder, dataset) for dataset in DATASETS}
+        return {dataset: names for dataset, names in found.items() if names}
+
+    @property
+    def datasets(self) -> tuple[str, ...]:
+        """Names of the tables that there are."""
+        return tuple(self._names)
+
+    def read(
+        self, dataset: str, columns: Sequence[str] | None = None, records: NDArray[np.int64] | None = None
+    ) -> pd.DataFrame:
+        """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
+        names = self._names[dataset]
+        if records is not None and len(records):
+            parts = {f"part-{index:06d}.parquet" for index in np.unique(records // PART_RECORDS).tolist()}
+            names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
+        return read_table(self.folder, names, columns)
+
+
+@dataclass(frozen=True)
+class _InFolder:
+    """The records and the prior's draws of a fit in a folder."""
+
+    folder: ResultFolder
+
+    def records(self) -> xr.Dataset:
+        check_netcdf(self.folder.checked(RECORDS_FILE), guarded=True)
+        return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
+
+    def prior_draws(self) -> FloatArray:
+        table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))
+        return np.column_stack([table[name].to_numpy() for name in STRESSES]).astype(np.float64)
+
+
+def _only_of(plan: Plan, folder: ResultFolder) -> None:
+    """Remove the parts of other data, of fewer files, and say whose parts come now."""
+    mark = {"key": plan.key, "layout": LAYOUT}
+    if not folder.damage(PLAN_FILE) and json.loads(folder.read(PLAN_FILE)) == mark:
+        return
+    for name in (*(part for dataset in DATASETS for part in folder.names(f"{dataset}/")), PRIOR_FILE, RECORDS_FILE):
+        folder.remove(name)
+    folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
+
+
+def _names(plan: Plan, part: Part) -> list[str]:
+    return [name for dataset in plan.datasets for name, _ in names_of_part(dataset, part.index, part.time)]
+
+
+def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
+    for dataset, table in done.tables.items():
+        for name, rows in names_of_part(dataset, part.index, part.time):
+            write_table(folder, name, table if rows.all() else table[table["record"].isin(part.record[rows])])
+
+
+def _write_exports(folder: ResultFolder, found: Fit) -> None:
+    """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
+    if found.n_record <= MOST_CSV:
+        write = partial(write_csv, found.table("summary"), index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        folder.write("summary.csv", write)
+    if found.has_draws and found.n_record <= MOST_KEPT:
+        folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))

@@ -1,0 +1,193 @@
+"""The result of a fit: one object, whether it is in memory or in a folder, of six records or of a year."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from bayes_rs.fits.columns import ALONG, ALONG_SHAPE
+from bayes_rs.fits.direction_table import direction_rows
+from bayes_rs.fits.fit_data import FitData
+from bayes_rs.fits.frames import lidar_frame
+from bayes_rs.fits.groups import GROUPS, attributes, group_of
+from bayes_rs.fits.summary_anew import summarize
+from bayes_rs.fits.words import describe, failure_lines, flag_lines, least_seen
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(FitData):
+    """Posteriors of the Reynolds stress tensors of records, as `fit` makes them and `open_fit` reads them.
+
+    ``fit["posterior"]`` is a group of `to_arviz` as a Dataset, and ``fit.attrs`` holds the attributes of the whole.
+
+    Parameters
+    ----------
+    run : mapping
+        What was run, as plain values: settings, versions, scan, prior, noise, counts; the content of ``run.json``.
+    scan : Scan
+        The scan, with the records' beams.
+    source : Tables
+        Where its tables are.
+    loaded : callable
+        Returns the records and the draws of the prior.
+    place : str
+        The folder, for messages; empty in memory.
+    """
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes of the whole: target, sampler, seed, scan, prior, noise and others."""
+        return attributes(self)
+
+    def summary(
+        self, *, prob: float | None = None, derived: Sequence[str] | None = None, frame: str = "wind"
+    ) -> pd.DataFrame:
+        """Summarize the posterior of every record.
+
+        Parameters
+        ----------
+        prob : float, optional
+            Probability of the highest-density intervals; by default that of the fit. Another one needs the draws.
+        derived : sequence of str, optional
+            Quantities beside the six stresses; by default those of the fit. Others need the draws. They are turbulence
+            intensities ``"ti"`` (σ_u/U), ``"ti_v"``, ``"ti_w"``; ``"tke"``; ``"friction_velocity"``;
+            ``"correlation_uv"``, ``"correlation_uw"``, ``"correlation_vw"``; the invariants ``"anisotropy_2"``,
+            ``"anisotropy_3"`` and ``"lumley_xi"``, ``"lumley_eta"`` of the anisotropy tensor.
+        frame : {"wind", "lidar"}
+            Axes of the stresses and of what is derived from them: of the record's mean wind, or of the levelled lidar
+            (x against its view, y to its right, z up), by the record's ``yaw``. The latter needs the draws.
+
+        Returns
+        -------
+        table : DataFrame
+            One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
+            sd, median and ends of the highest-density interval, m² s⁻² for stresses; contraction; Monte-Carlo standard
+            errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat, and flags in words.
+            Records that were not fitted have NaN.
+
+        Raises
+        ------
+        InputError
+            If prob is not between 0 and 1, a derived quantity or the frame is not known, or draws are needed and were
+            not kept.
+
+        Notes
+        -----
+        contraction = 1 − Var[posterior] / Var[prior]. Near 1 the data decided, near 0 the prior did. A prior that
+        leaves the size of the turbulence open makes the contraction of every stress near 1, because any beam tells the
+        size; so contraction_shape is the same number for the stress divided by the trace uu + vv + ww, from which the
+        size is gone.
+
+        The Monte-Carlo errors follow from the effective sample sizes: of the mean sd/√n, of the sd ½ sd √((κ − 1)/n)
+        with the kurtosis κ, of the median and the ends those of the quantiles at their places. The shortest interval
+        slides a little over intervals of the same probability besides, which its ends' errors leave out.
+        """
+        own = self.settings["fit"]
+        wanted = tuple(own["derived"]) if derived is None else tuple(derived)
+        if (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind":
+            return self.source.read("summary")
+        return summarize(self, own["prob"] if prob is None else prob, wanted, frame)
+
+    def directions(self) -> pd.DataFrame:
+        """Tell for every record how much the posterior contracted along each direction of R.
+
+        Returns
+        -------
+        table : DataFrame
+            Six rows a record, best seen direction first: ``weight``, the singular value over the largest; ``seen``,
+            false where no beam's variance changes along the direction; ``contraction`` and ``contraction_shape`` as in
+            `summary`, of the direction's component; and the direction itself, a unit vector over the six stresses in
+            the lidar's frame (x against the lidar's axis, level).
+
+        Notes
+        -----
+        The directions are the right singular vectors d of the design matrix A of the level frame at yaw 0, in which
+        they do not change from record to record; the posterior and prior covariances of the stresses are turned into it
+        by each record's yaw. contraction = 1 − d·Σ d / d·Σ₀ d, with the covariances of R (or of R over its trace, for
+        the shape) under posterior and prior. A direction that is not seen may contract none the less: what is learned
+        of the others limits it, through the prior's correlations and because R is realizable. Of the shape, seen and
+        unseen directions that share the diagonal mirror each other, because its trace is 1: the contraction of R itself
+        tells them apart.
+        """
+        rows = self.source.read("posterior", ["record", *ALONG, *ALONG_SHAPE])
+        along, of_shape = (rows[list(names)].to_numpy(dtype=np.float64) for names in (ALONG, ALONG_SHAPE))
+        known = self.run["directions"]
+        weight, vectors = (np.asarray(known[name], dtype=np.float64) for name in ("weight", "vectors"))
+        return direction_rows(rows["record"].to_numpy(), weight, vectors, along, of_shape)
+
+    def lidar_frame(self) -> xr.DataArray:
+        """Return the posterior's draws of the stresses in the frame of the levelled lidar.
+
+        Returns
+        -------
+        stress : DataArray, dims (chain, draw, record, component)
+            The draws, m² s⁻²; ``uu`` is the variance along the lidar's axis x, ``vv`` that along y, to its right.
+
+        Raises
+        ------
+        InputError
+            If the draws were not kept.
+
+        Notes
+        -----
+        Each record's draws are turned by its own wind direction ψ: R_lidar = T_yaw(ψ) R T_yaw(ψ)ᵀ, since beams are
+        n · T_yaw(ψ) in the mean-wind frame. No radial variance changes.
+        """
+        return lidar_frame(self)
+
+    def to_arviz(self) -> xr.DataTree:
+        """Return the fit in ArviZ's layout.
+
+        Returns
+        -------
+        tree : DataTree
+            Groups ``posterior`` (``stress`` with dims chain, draw, record, component), ``sample_stats``, ``prior``,
+            ``observed_data`` and ``posterior_predictive``. Records that could not be fitted stay in it, as NaN and
+            flagged.
+
+        Raises
+        ------
+        InputError
+            If the draws were not kept.
+        """
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(), **{f"/{name}": self[name] for name in GROUPS}})
+        tree.attrs = self.attrs
+        return tree
+
+    @cached_property
+    def _groups(self) -> dict[str, xr.Dataset]:
+        return {}
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``."""
+        group, _, variable = name.partition("/")
+        if group not in self._groups:
+            self._groups[group] = group_of(self, group)
+        return self._groups[group][variable] if variable else self._groups[group]
+
+    def __contains__(self, name: object) -> bool:
+        """Say whether there is a group of that name, with draws where it needs them."""
+        return name in GROUPS and (self.has_draws or name not in ("posterior", "posterior_predictive"))
+
+    @property
+    def words(self) -> list[str]:
+        """What the scan sees, which prior it was, and what the data said beyond the prior, in lines."""
+        run = self.run
+        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], self.source.read("summary"))
+        return [*lines, *least_seen(self.directions())]
+
+    @property
+    def failures(self) -> list[str]:
+        """One line for each record that was not fitted or whose chain fell short; of many, the first ones."""
+        return failure_lines(self.flag, self.record_names)
+
+    @property
+    def remarks(self) -> list[str]:
+        """One line for each flag that some record has: how many have it, and the first."""
+        return flag_lines(self.flag, self.record_names)

@@ -1,0 +1,171 @@
+"""The options of a fit: what is the same for all its records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
+from bayes_rs.errors import InputError
+from bayes_rs.fits.derived import check_derived
+from bayes_rs.likelihoods.log_normal import LIKELIHOODS
+from bayes_rs.options import described, option
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.posteriors.sampling import SAMPLERS
+from bayes_rs.priors.registry import Prior, make_prior
+
+TARGETS = {
+    "record": "the expected tensor of one averaging period, its own mean removed",
+    "ensemble": "the tensor of an infinite record",
+    "sonic": "the tensor that a sonic at the lidar would have measured in this very record",
+}
+"""Which R a fit is of, in words."""
+DRAWS = ("auto", "none", "float32", "float64")
+"""What is kept of the draws."""
+MOST_KEPT = 2000
+"""Records up to which ``draws="auto"`` keeps the draws: about 0.1 MB each."""
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """Options of a fit: prior, sampler, what is uncertain beside R, and what is reported.
+
+    Raises
+    ------
+    InputError
+        If an option is not valid, or two do not go together.
+
+    Notes
+    -----
+    The target ``"sonic"`` needs noise that was made with ``sonic=True``, and the log-normal likelihood. The sampler
+    ``"emcee"`` is one ensemble for many records, driven by proposals that are fitted to each; ``"direct"`` draws
+    independently from such proposals, weights and resamples; ``"auto"`` is direct, and emcee for the records whose
+    weights are too uneven for that. All give the same posterior. A chain that still misses the target effective sample
+    size after `max_extension` doublings is flagged. Beams whose variance is not above the instrument's noise are left
+    out and flagged.
+
+    Examples
+    --------
+    >>> FitOptions(prior="flat", prob=0.5).target
+    'record'
+    """
+
+    seed: int = option(1, "Seed; a record's draws depend on it and on the record's start, not on other records")
+    prior: str | Prior = option(
+        "weak",
+        "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, or in Python a prior",
+        choices="bayes_rs.priors.registry:PRIORS",
+        open=True,
+    )
+    target: str = option("record", "Which R", choices=tuple(TARGETS))
+    sampler: str = option("emcee", "How the posterior is sampled", choices="bayes_rs.posteriors.sampling:SAMPLERS")
+    likelihood: str = option(
+        "log-normal",
+        "Distribution of the variances",
+        choices="bayes_rs.likelihoods.log_normal:LIKELIHOODS",
+        flag="",
+    )
+    target_ess: int = option(1000, "Bulk effective sample size that every stress should reach", flag="--ess")
+    max_extension: int = option(5, "How often a chain that is too short may be doubled")
+    instrument_noise: float | str = option(
+        0.0,
+        "Variance that the instrument adds to each radial variance; or records, for each record's own of each beam",
+        unit="m² s⁻²",
+        choices=("records",),
+    )
+    nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over")
+    prob: float = option(0.9, "Probability of the credible intervals")
+    derived: Sequence[str] = option(
+        (), "Quantities in the summary beside the stresses", choices="bayes_rs.fits.derived:NAMES"
+    )
+    draws: str = option(
+        "auto",
+        f"What is kept of the draws; auto keeps them, in float64, for up to {MOST_KEPT} records",
+        choices=DRAWS,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the options, one by one and together."""
+        as_generator(self.seed)
+        check_choice(self.target, tuple(TARGETS), what="target")
+        check_choice(self.sampler, tuple(SAMPLERS), what="sampler")
+        check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
+        check_count(self.target_ess, what="target_ess")
+        check_count(self.max_extension, what="max_extension", minimum=0)
+        check_choice(self.draws, DRAWS, what="draws")
+        check_prob(self.prob)
+        object.__setattr__(self, "derived", (self.derived,) if isinstance(self.derived, str) else tuple(self.derived))
+        check_derived(self.derived)
+        if isinstance(self.instrument_noise, str):
+            check_choice(self.instrument_noise, ("records",), what="instrument_noise")
+        else:
+            check_non_negative(self.instrument_noise, what="instrument_noise", unit="m² s⁻²")
+        if not isinstance(self.nuisances, Nuisances):
+            raise InputError(f"Invalid nuisances {self.nuisances!r}: give bayes_rs.Nuisances(...).")
+        if self.nuisances.instrument_noise_log_sd > 0.0 and self.instrument_noise == 0.0:
+            raise InputError(
+                "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²."
+            )
+        if self.target == "sonic" and self.likelihood != "log-normal":
+            raise InputError(
+                f"Invalid likelihood {self.likelihood!r} for the target 'sonic': only for 'log-normal' is it known how "
+                "the sonic and the beams scatter together."
+            )
+        _ = self.made_prior
+
+    @cached_property
+    def made_prior(self) -> Prior:
+        """The prior that `prior` means."""
+        return make_prior(self.prior)
+
+    @property
+    def known_instrument_noise(self) -> float:
+        """The instrument's noise that all records share, m² s⁻²; 0 where the records hold their own."""
+        return 0.0 if isinstance(self.instrument_noise, str) else float(self.instrument_noise)
+
+    def keeps_draws(self, n_record: int) -> bool:
+        """Say whether the draws of so many records are kept."""
+        return self.draws != "none" and (self.draws != "auto" or n_record <= MOST_KEPT)
+
+    @property
+    def draws_type(self) -> str:
+        """Type of the draws that are kept."""
+        return "float64" if self.draws == "auto" else self.draws
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions:
+    """Which noise a fit takes, or how it is made for the records.
+
+    Raises
+    ------
+    InputError
+        If the method is not known.
+    """
+
+    noise: str | None = option(None, "Noise file; by default the noise is made for the records' winds", metavar="FILE")
+    turbulence: str = option(
+        "fu-2022",
+        "Turbulence that the noise is made for: a name or a TOML file",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
+    )
+    noise_method: str = option(
+        "theory", "How the noise is made", choices="bayes_rs.noise.calibrating:METHODS", flag="--noise-method"
+    )
+
+
+def check_prob(prob: float) -> float:
+    """Return the probability of an interval.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0.0 < prob < 1.0:
+        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
+    return float(prob)

@@ -1,0 +1,119 @@
+"""What is wrong with a record, or remarkable: one bit for each, and their words."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs.fits.batch import RecordDraws
+from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
+
+FLAGS: dict[str, int] = {
+    "no_usable_beam": 1,
+    "no_wind": 2,
+    "beam_left_out": 4,
+    "yaw_not_seen": 8,
+    "short_chain": 16,
+    "ensembles_differ": 32,
+    "weights_uneven": 64,
+    "contradicts_model": 128,
+    "not_stationary": 256,
+    "low_wind": 512,
+    "likelihood_failed": 1024,
+    "excluded": 2048,
+    "outside_noise": 4096,
+}
+"""Bits of a record's flag."""
+
+UNFITTED = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"] | FLAGS["excluded"]
+"""Flags of a record that was not fitted."""
+
+FLAG_MEANINGS = {
+    "no_usable_beam": "every beam is flagged or has no variance; not fitted",
+    "no_wind": "no wind speed or direction; not fitted",
+    "beam_left_out": "at least one beam is not used",
+    "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
+    "short_chain": "some stress has fewer effective draws than asked for",
+    "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
+    "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
+    "contradicts_model": "a beam is far from what the posterior predicts for it",
+    "not_stationary": "the record has a trend, or its parts differ",
+    "low_wind": "the mean wind is below the limit of the record checks",
+    "excluded": "taken out by a rule of quality; not fitted",
+    "likelihood_failed": "the likelihood could not be calculated; not fitted",
+    "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
+    "too wide",
+}
+"""What each flag means, in short; docs/diagnostics.md says what to do."""
+FAILURES = (
+    FLAGS["no_usable_beam"]
+    | FLAGS["no_wind"]
+    | FLAGS["short_chain"]
+    | FLAGS["ensembles_differ"]
+    | FLAGS["weights_uneven"]
+    | FLAGS["likelihood_failed"]
+)
+"""Flags that count as a failure of a record; the others are remarks."""
+MISFIT_LIMIT = 3.0
+"""A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
+
+
+def flag_words(flag: int) -> str:
+    """Return a record's flag in words, joined by semicolons; empty if nothing is wrong.
+
+    Parameters
+    ----------
+    flag : int
+        Bit mask from ``sample_stats/flag`` of a fit.
+
+    Returns
+    -------
+    words : str
+        Names of the bits that are set, as in `FLAGS`.
+
+    Examples
+    --------
+    >>> flag_words(20)
+    'beam_left_out;short_chain'
+    """
+    return ";".join(word for word, bit in FLAGS.items() if int(flag) & bit)
+
+
+def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what the records themselves say, as one bit mask for each; the bits are in `FLAGS`."""
+    flag = np.zeros(len(usable), dtype=np.int64)
+    excluded = ~usable.any(axis=1) & _is_excluded(records)
+    flag[excluded] |= FLAGS["excluded"]
+    flag[~usable.any(axis=1) & ~excluded] |= FLAGS["no_usable_beam"]
+    flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
+    unfitted = np.setdiff1d(np.flatnonzero(usable.any(axis=1)), fitted)
+    flag[unfitted] |= FLAGS["no_wind"]
+    if "record_flag" in records:
+        meanings = str(records["record_flag"].attrs.get("flag_meanings", "")).split()
+        masks = np.atleast_1d(records["record_flag"].attrs.get("flag_masks", []))
+        for meaning, mask in zip(meanings, masks, strict=True):
+            if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
+                flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
+    return flag
+
+
+def _is_excluded(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Say which records the rules of quality took out."""
+    if "flag" not in records:
+        return np.zeros(records.sizes["record"], dtype=np.bool_)
+    meanings = str(records["flag"].attrs.get("flag_meanings", "")).split()
+    masks = dict(zip(meanings, np.atleast_1d(records["flag"].attrs.get("flag_masks", [])).tolist(), strict=True))
+    return np.asarray(((records["flag"].values & masks.get("record_excluded", 0)) != 0).any(axis=1))
+
+
+def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:
+    """Return what the draws of fitted records say, as one bit mask for each."""
+    chains = draws.chains
+    flag = np.zeros(len(chains.stress), dtype=np.int64)
+    flag[~(chains.ess_bulk.min(axis=1) >= target_ess)] |= FLAGS["short_chain"]
+    flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)] |= FLAGS["ensembles_differ"]
+    flag[chains.pareto_k > PARETO_K_LIMIT] |= FLAGS["weights_uneven"]
+    flag[draws.misfit > MISFIT_LIMIT] |= FLAGS["contradicts_model"]
+    flag[draws.outside] |= FLAGS["outside_noise"]
+    return flag

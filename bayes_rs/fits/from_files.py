@@ -1,0 +1,163 @@
+"""The main job: from files and settings to a folder of results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from bayes_rs._version import __version__
+from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.errors import InputError
+from bayes_rs.fits.digest import digest, digest_parts
+from bayes_rs.fits.fit_folder import fit_into, open_fit
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fitting import with_median_length_scale, with_settings
+from bayes_rs.fits.noise_choice import given_noise, noise_and_records
+from bayes_rs.fits.plan import LAYOUT, number_versions, option_parts, plan_fit
+from bayes_rs.fits.settings import Settings
+from bayes_rs.fits.workers import check_workers
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.options import to_plain
+from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.registry import SUFFIXES
+from bayes_rs.records.record_files import open_record_files
+from bayes_rs.records.record_store import store_records
+from bayes_rs.records.report import describe_report
+from bayes_rs.result_folder import ResultFolder
+from bayes_rs.wind.motion import add_motion
+
+Say = Callable[[str], None]
+
+
+def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = lambda line: None) -> Fit:  # noqa: ARG005
+    """Read files, make records and fit them into a folder, as settings say.
+
+    Parameters
+    ----------
+    settings : Settings
+        Which scan, which files, and everything else.
+    progress : bool, optional
+        Progress bars on stderr; by default only on a terminal.
+    say : callable
+        Takes lines that tell what is being done.
+
+    Returns
+    -------
+    fit : Fit
+        From `open_fit`; ``fit.run["bad_files"]`` names the files that could not be used, with the reasons.
+
+    Raises
+    ------
+    InputError
+        If no scan, file or folder is named, an option is not valid, the folder may not be written, or no file can be
+        used.
+    LostResultsError
+        If results that were written are gone at the end.
+    WorkerError
+        If worker processes die again and again.
+
+    Notes
+    -----
+    First the records of all files are made, piece by piece, with memory that does not grow with the files; then the
+    noise for their wind speeds and directions; then they are fitted. A file that cannot be read, or that holds anything
+    that cannot be used, counts for nothing, and is named at the end. All results are the same however often the run was
+    interrupted. A run that is resumed with more files than before reads those that came since, and fits all records
+    again.
+
+    Examples
+    --------
+    >>> import tempfile, bayes_rs as brs
+    >>> settings = Settings().changed(scan="6-beam@opening_angle_deg=45,focus_distance=52")
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     hour = settings.changed(files=[str(brs.demo_file("6-beam-45"))], output=f"{place}/hour")
+    ...     fit_files(hour).n_fitted
+    6
+    """
+    if not settings.files.files:
+        raise InputError("No files are given: name files, folders or patterns of radial velocities, or of records.")
+    if settings.output.output is None:
+        raise InputError("No folder is given for the results: name one with output (--output).")
+    scan = settings.scan.load()
+    workers, client = settings.output.workers, settings.output.scheduler
+    check_workers(workers, client)
+    noise = given_noise(settings.noise.noise)
+    files = list(settings.files.files)
+    records = open_record_files(files, scan)
+    if records is None:
+        find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
+    parts = _key_parts(settings, scan, noise)
+    with begin_result_folder(
+        settings.output.output,
+        key=digest(parts),
+        key_parts=parts,
+        resume=settings.output.resume,
+        overwrite=settings.output.overwrite,
+        inputs=[file for file in files if Path(file).exists()],
+    ) as folder:
+        about: dict[str, Any] = {"source_files": [Path(file).name for file in files], "bad_files": {}}
+        if records is None:
+            records, read = _read(settings, scan, folder, progress, say)
+            about |= read
+        for line in describe_report(records):
+            say(line)
+        records = add_motion(records, scan, settings.records, settings.files)
+        options = with_median_length_scale(settings.fit, settings.noise, records, noise)
+        found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
+        plan = with_settings(plan_fit(records, scan, found, options), **_other_sections(settings))
+        fit_into(folder, plan, workers=workers, client=client, progress=progress, more=about)
+    return open_fit(settings.output.output)
+
+
+def _read(
+    settings: Settings, scan: Scan, folder: ResultFolder, progress: bool | None, say: Say
+) -> tuple[xr.Dataset, Mapping[str, Any]]:
+    """Make the records of files, and keep them in the folder; also return what `run.json` says of the files."""
+    options = {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
+    stored = store_records(
+        list(settings.files.files),
+        scan,
+        folder,
+        reading=settings.files,
+        quality=settings.quality,
+        progress=progress,
+        say=say,
+        **options,
+    )
+    if stored.n_resumed:
+        say(f"{stored.n_resumed} of {stored.n_file} files were read by an earlier run")
+    report = json.loads(stored.records.attrs.get("records_report", "{}"))
+    late = {name: report[name] for name in ("samples_late", "first_late") if name in report}
+    return stored.records, {
+        "n_file": stored.n_file,
+        "source_files": json.loads(stored.records.attrs.get("source_files", "[]")),
+        "bad_files": stored.bad_files,
+        "read_counts": stored.counts,
+        **late,
+    }
+
+
+def _key_parts(settings: Settings, scan: Scan, noise: Any) -> dict[str, str]:
+    """Return the fingerprints of all that the results depend on beside the files, by what they are of."""
+    reading = {name: value for name, value in settings.files.given().items() if name != "on_bad_file"}
+    return digest_parts(
+        version=__version__,
+        packages=number_versions(),
+        layout_of_the_tables=LAYOUT,
+        scan=scan.key,
+        noise=to_plain(settings.noise) if noise is None else noise,
+        reading_options=reading,
+        record_options=to_plain(settings.records),
+        quality_rules=to_plain(settings.quality),
+        **option_parts(settings.fit),
+    )
+
+
+def _other_sections(settings: Settings) -> dict[str, Any]:
+    """Return what `run.json` says of the settings beside those of the fit itself."""
+    plain = replace(settings.with_whole_paths()).to_plain()
+    return {name: values for name, values in plain.items() if name not in ("fit", "output")}

@@ -1,0 +1,163 @@
+"""The groups of a fit as xarray Datasets, in ArviZ's layout."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayes_rs.errors import InputError
+from bayes_rs.fits.columns import CORRELATED
+from bayes_rs.fits.fit_data import FitData
+from bayes_rs.fits.flags import FLAGS
+from bayes_rs.fits.prepare import record_yaw_sd, used_beams
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.nuisance import UNITS
+from bayes_rs.posteriors.sampling.chains import N_WALKER
+
+_UNIT = {"units": "m2 s-2"}
+_PER_RECORD = {"acceptance_rate": "", "n_step": "", "pareto_k": "", "misfit": "standard deviations"}
+
+
+def posterior(fit: FitData) -> xr.Dataset:
+    """Return the draws: ``stress`` (chain, draw, record, component), and nuisances (chain, draw, record)."""
+    stress = fit.draws()
+    n_chain, n_draw = stress.shape[1:3]
+    nuisances = {name: fit.nuisance_draws(name) for name in fit.nuisance_names}
+    return xr.Dataset(
+        {
+            "stress": (("chain", "draw", "record", "component"), np.moveaxis(stress, 0, 2), _UNIT),
+            **{
+                name: (("chain", "draw", "record"), np.moveaxis(values, 0, 2), {"units": UNITS[name]})
+                for name, values in nuisances.items()
+            },
+        },
+        coords={**_stress_coords(fit), **_chains(n_chain), "draw": np.arange(n_draw)},
+    )
+
+
+def posterior_predictive(fit: FitData) -> xr.Dataset:
+    """Return radial variances that the posterior predicts: ``variance`` (chain, draw, record, beam)."""
+    predicted = fit.predicted_draws()
+    n_chain, n_draw = predicted.shape[1:3]
+    return xr.Dataset(
+        {"variance": (("chain", "draw", "record", "beam"), np.moveaxis(predicted, 0, 2), _UNIT)},
+        coords={**_beam_coords(fit), **_chains(n_chain), "draw": np.arange(n_draw)},
+    )
+
+
+def prior(fit: FitData) -> xr.Dataset:
+    """Return draws of the prior: ``stress`` (chain, draw, component)."""
+    return xr.Dataset(
+        {"stress": (("chain", "draw", "component"), fit.prior_draws[None], _UNIT)},
+        coords={"component": list(STRESSES)},
+    )
+
+
+def observed_data(fit: FitData) -> xr.Dataset:
+    """Return what the fit was of: variances, which of them were used, wind speed and direction."""
+    records, own = fit.records, fit.settings["fit"]
+    yaw_sd = record_yaw_sd(records, own["nuisances"])
+    return xr.Dataset(
+        {
+            "variance": (("record", "beam"), np.asarray(records["variance"].values, dtype=np.float64), _UNIT),
+            "used": (("record", "beam"), used_beams(records, own["instrument_noise"]).astype(np.int8)),
+            "wind_speed": (("record",), np.asarray(records["wind_speed"].values, dtype=np.float64), {"units": "m s-1"}),
+            "yaw": (("record",), np.asarray(records["yaw"].values, dtype=np.float64), {"units": "degree"}),
+            **({} if yaw_sd is None else {"yaw_sd": (("record",), yaw_sd, {"units": "degree"})}),
+        },
+        coords=_beam_coords(fit),
+    )
+
+
+def sample_stats(fit: FitData) -> xr.Dataset:
+    """Return diagnostics and flags of the records."""
+    rows, summary = fit.table("posterior"), fit.table("summary")
+    stresses = summary[summary["stress"].isin(STRESSES)]
+    n_record = len(rows)
+    of_stress = {
+        name: stresses[name].to_numpy(dtype=np.float64).reshape(n_record, len(STRESSES))
+        for name in ("ess_bulk", "ess_tail", "r_hat")
+    }
+    of_stress["autocorrelation_time"] = rows[list(CORRELATED)].to_numpy(dtype=np.float64)
+    return xr.Dataset(
+        {
+            **{
+                name: (("record", "component"), values, {"units": "sampler steps"} if name not in summary else {})
+                for name, values in of_stress.items()
+            },
+            **{
+                name: (("record",), rows[name].to_numpy(dtype=np.float64), {"units": unit} if unit else {})
+                for name, unit in _PER_RECORD.items()
+            },
+            "sampler": (("record",), rows["sampler"].to_numpy(dtype=object)),
+            "flag": (
+                ("record",),
+                rows["flag_bits"].to_numpy(),
+                {"flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)},
+            ),
+        },
+        coords=_stress_coords(fit),
+    )
+
+
+GROUPS = {
+    "posterior": posterior,
+    "sample_stats": sample_stats,
+    "prior": prior,
+    "observed_data": observed_data,
+    "posterior_predictive": posterior_predictive,
+}
+"""The groups by name; the first and the last need the draws."""
+
+
+def group_of(fit: FitData, name: str) -> xr.Dataset:
+    """Return one group of a fit.
+
+    Raises
+    ------
+    InputError
+        If there is no such group, or it needs draws that were not kept.
+    """
+    if name not in GROUPS:
+        raise InputError(f"Unknown group {name!r} of a fit: it must be one of {', '.join(GROUPS)}.")
+    return GROUPS[name](fit)
+
+
+def attributes(fit: FitData) -> dict[str, Any]:
+    """Return the attributes of a fit: what it was asked for, as plain numbers and texts."""
+    run, own = fit.run, fit.settings["fit"]
+    clipped = {}
+    if own["target"] == "sonic":
+        values = fit.table("posterior")["sonic_clipped"].to_numpy(dtype=np.float64)
+        clipped = {"sonic_clipped": float(np.nanmax(values)) if np.isfinite(values).any() else 0.0}
+    return {
+        **{name: own[name] for name in ("target", "sampler", "likelihood", "instrument_noise", "seed", "target_ess")},
+        "nuisances": run["nuisances"],
+        "n_outside_noise": fit.flags["outside_noise"],
+        **clipped,
+        "created_by": f"bayes_rs {run['bayes_rs']}",
+        **{name: run[name] for name in ("scan", "scan_key", "sight", "prior", "prior_name")},
+        "noise": json.dumps(run["noise"]),
+    }
+
+
+def _stress_coords(fit: FitData) -> dict[str, Any]:
+    return {**_record_coords(fit), "component": list(STRESSES)}
+
+
+def _beam_coords(fit: FitData) -> dict[str, Any]:
+    return {**_record_coords(fit), "beam": fit.records["beam"].values}
+
+
+def _record_coords(fit: FitData) -> dict[str, Any]:
+    coords: dict[str, Any] = {"record": np.arange(fit.n_record)}
+    if "time" in fit.records.coords:
+        coords["time"] = ("record", fit.records["time"].values)
+    return coords
+
+
+def _chains(n_chain: int) -> dict[str, Any]:
+    return {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // N_WALKER)}

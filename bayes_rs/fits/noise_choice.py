@@ -1,0 +1,128 @@
+"""The noise that records get, and what records must hold for a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.probe_words import probe_words
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.wind.mean_vector import mean_wind
+
+_SAME_YAW = 1e-6  # rad; both come from the same means
+Say = Callable[[str], None]
+
+
+def given_noise(noise: Noise | str | Path | None) -> Noise | None:
+    """Return noise that is given, itself or by its file; None if it is to be made for the records."""
+    if noise is None or isinstance(noise, Noise):
+        return noise
+    from bayes_rs.noise.file import load_noise  # noqa: PLC0415 - not needed without a file
+
+    return load_noise(noise)
+
+
+def noise_and_records(
+    records: xr.Dataset, scan: Scan, noise: Noise | None, options: FitOptions, choice: NoiseOptions, say: Say
+) -> tuple[Noise, xr.Dataset]:
+    """Return the noise, given or made for the records, and records that hold all that the fit asks of them.
+
+    Parameters
+    ----------
+    records : Dataset
+        From `make_records`.
+    scan : Scan
+        The scan that measured them.
+    noise : Noise or None
+        From `given_noise`.
+    options : FitOptions
+        Of the fit: its target and nuisances say what the noise must hold.
+    choice : NoiseOptions
+        How the noise is made.
+    say : callable
+        Takes lines that tell what was done.
+    """
+    if noise is None:
+        noise = _made_noise(records, scan, options, choice, say)
+    if words := about_probe(noise, records):
+        say(words)
+    return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
+
+
+def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say) -> Noise:
+    from bayes_rs.noise.calibrating import calibrate  # noqa: PLC0415 - not needed with a file
+
+    noise = calibrate(
+        scan,
+        choice.turbulence,
+        records=records,
+        method=choice.noise_method,
+        sonic=options.target == "sonic",
+        length_scale=_length_scales(records, options.nuisances),
+    )
+    say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
+    return noise
+
+
+def about_probe(noise: Noise, records: xr.Dataset) -> str:
+    """Say what the noise's probe volume does in the records' winds; empty if that is not known."""
+    if not {"wind_speed", "yaw"} <= set(records.variables):
+        return ""
+    return probe_words(noise, records["wind_speed"].values, np.deg2rad(records["yaw"].values))
+
+
+def _length_scales(records: xr.Dataset, nuisances: Nuisances) -> list[float] | None:
+    """Return the shortest and longest L that the noise must know; None if it is that of the turbulence."""
+    if nuisances.length_scale_log_sd == 0.0:
+        own = np.asarray(records.get("length_scale", xr.DataArray([])).values, dtype=np.float64)
+        own = own[np.isfinite(own)]
+        return [float(own.min()), float(own.max())] if len(own) else None
+    median = records.get("length_scale") if nuisances.length_scale is None else xr.DataArray(nuisances.length_scale)
+    if median is None:
+        return None  # not certain, but its median is not known: the fit says so
+    factors = nuisances.length_scale_nodes()[0]
+    return [float(median.min() * factors.min()), float(median.max() * factors.max())]
+
+
+def _with_yaw_sd(
+    records: xr.Dataset,
+    scan: Scan,
+    noise: Noise,
+    nuisances: Nuisances,
+    say: Say,
+) -> xr.Dataset:
+    """Return records that say how uncertain their directions are, where the nuisances ask for it and they do not yet.
+
+    The deviations are those of `mean_wind` in the turbulence of the noise; of noise over several length scales, in that
+    of the middle one. NaN where the beams do not see the direction.
+    """
+    if not nuisances.yaw_sd_of_records or "yaw_sd" in records:
+        return records
+    flows = np.unique(np.column_stack([noise.length_scale, noise.gamma]), axis=0)
+    length_scale, gamma = flows[len(flows) // 2]
+    flow = replace(noise.turbulence, length_scale=float(length_scale), gamma=float(gamma))
+    found = mean_wind(records, scan, turbulence=flow)
+    turn = np.deg2rad(found["yaw"].values - records["yaw"].values)
+    other = np.flatnonzero(np.abs(np.angle(np.exp(1j * turn))) > _SAME_YAW)
+    if len(other):
+        index = int(other[0])
+        raise InputError(
+            f"Invalid yaw {float(records['yaw'][index]):.4g} degrees of record {index}, one of {len(other)}: its "
+            f"beams' means give {float(found['yaw'][index]):.4g}, so they do not say how uncertain it is; give the "
+            "records a yaw_sd, or a number as yaw_sd_deg (--yaw-sd)."
+        )
+    known = found["yaw_sd"].values[np.isfinite(found["yaw_sd"].values)]
+    middle = f"median {np.median(known):.2g}°" if len(known) else "none known"
+    say(
+        f"uncertainty of the wind's direction: from the beams' means, {flow.name}, {middle}; "
+        f"{len(turn) - len(known)} of {len(turn)} records without one"
+    )
+    return records.assign(yaw_sd=found["yaw_sd"])

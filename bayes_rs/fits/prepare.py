@@ -1,0 +1,172 @@
+"""Records, scan and noise that belong together, as the arrays that a fit works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import Batch
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.geometry.attitude import gain_turn
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.noise import Noise
+from bayes_rs.posteriors.nuisance import Nuisances
+
+_SAME_FLOW = 0.01
+"""Relative difference of L or Γ that counts as none: it changes K by about as much as a bank's interpolation."""
+
+
+def can_be_fitted(batch: Batch) -> NDArray[np.int64]:
+    """Return the numbers of the records that have a usable beam, a wind speed and a direction."""
+    return np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > 0.0) & np.isfinite(batch.yaw))
+
+
+def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) -> tuple[Scan, Noise, Batch]:
+    """Check that records, scan and noise belong together; return scan and noise of the records' beams, and the data.
+
+    Raises
+    ------
+    InputError
+        If they do not belong together.
+    NoiseMismatchError
+        If the noise was made for another scan.
+    """
+    scan = _checked_scan(records, scan)
+    noise = noise.select(scan.beam)
+    noise.check_scan(scan)
+    _check_duration(records, noise)
+    uncertain = options.nuisances
+    _check_flow(records, noise, uncertain)
+    own_noise = _own_noise(records, _sound(records)) if isinstance(options.instrument_noise, str) else None
+    batch = Batch(
+        np.asarray(records["variance"].values, dtype=np.float64),
+        used_beams(records, options.instrument_noise),
+        np.asarray(records["wind_speed"].values, dtype=np.float64),
+        np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)),
+        _stream_keys(records),
+        {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
+        gain_turn(records, scan),
+        own_noise,
+    )
+    if uncertain.yaw_sd_of_records:
+        batch = replace(batch, yaw_sd=_own_yaw_sd(records, can_be_fitted(batch), uncertain.yaw_sd_missing_deg))
+    return scan, noise, batch
+
+
+def used_beams(records: xr.Dataset, instrument_noise: float | str) -> NDArray[np.bool_]:
+    """Return which variances of records count, shape (n_record, n_beam): sound ones above their records' own noise."""
+    used = _sound(records)
+    if not isinstance(instrument_noise, str):
+        return used
+    return np.asarray(used & (records["variance"].values > _own_noise(records, used)))
+
+
+def record_yaw_sd(records: xr.Dataset, nuisances: Mapping[str, Any]) -> FloatArray | None:
+    """Return how uncertain each record's direction is, degrees, where the nuisances (plain) leave it to the records."""
+    if nuisances["yaw_sd_deg"] != "records":
+        return None
+    own = np.asarray(records["yaw_sd"].values, dtype=np.float64)
+    missing = nuisances["yaw_sd_missing_deg"]
+    return own if missing is None else np.where(np.isnan(own), missing, own)
+
+
+def _sound(records: xr.Dataset) -> NDArray[np.bool_]:
+    variance = np.asarray(records["variance"].values, dtype=np.float64)
+    return np.asarray((records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance))
+
+
+def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
+    """Check the records and return the scan with only the beams that they hold."""
+    for name, dims in (
+        ("variance", ("record", "beam")),
+        ("flag", ("record", "beam")),
+        ("wind_speed", ("record",)),
+        ("yaw", ("record",)),
+    ):
+        if name not in records or records[name].dims != dims:
+            raise InputError(f"The records have no {name} with dims {dims}: make them with bayes_rs.make_records.")
+    if records.sizes["record"] == 0:
+        raise InputError("There is no record: the series is shorter than one averaging period.")
+    return scan.select(records["beam"].values)
+
+
+def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
+    """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²."""
+    if "instrument_noise" not in records or records["instrument_noise"].dims != ("record", "beam"):
+        raise InputError(
+            "The records have no instrument_noise with dims ('record', 'beam'): add it with with_instrument_noise, or "
+            "give a number as instrument_noise."
+        )
+    own = np.asarray(records["instrument_noise"].values, dtype=np.float64)
+    bad = np.argwhere(used & ~(np.isfinite(own) & (own >= 0.0)))
+    if len(bad):
+        record, beam = (int(i) for i in bad[0])
+        raise InputError(
+            f"Invalid instrument_noise {own[record, beam]} m² s⁻² of record {record}, beam "
+            f"{records['beam'].values[beam]}: it must be finite, zero or above; with_instrument_noise makes it so."
+        )
+    return np.where(used, own, 0.0)
+
+
+def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:
+    """Return how uncertain the records say that their directions are, shape (n_record,), degrees."""
+    if "yaw_sd" not in records or records["yaw_sd"].dims != ("record",):
+        raise InputError(
+            "The records have no yaw_sd with dims ('record',): add it with mean_wind(records, scan, turbulence=...), "
+            "or give a number as yaw_sd_deg."
+        )
+    own = np.asarray(records["yaw_sd"].values, dtype=np.float64)
+    if missing_deg is not None:
+        own = np.where(np.isnan(own), missing_deg, own)
+    bad = fitted[~(np.isfinite(own[fitted]) & (own[fitted] >= 0.0))]
+    if len(bad):
+        start = f" ({str(records['time'].values[bad[0]])[:16]})" if "time" in records.coords else ""
+        raise InputError(
+            f"Invalid yaw_sd {own[bad[0]]} degrees of record {bad[0]}{start}, one of {len(bad)}: it must be finite, "
+            "zero or above; give yaw_sd_missing_deg (--yaw-sd-missing) for these, or one yaw_sd_deg (--yaw-sd) for all."
+        )
+    return own
+
+
+def _check_flow(records: xr.Dataset, noise: Noise, nuisances: Nuisances) -> None:
+    """Refuse records with a turbulence of their own that the noise would leave aside."""
+    averaged = nuisances.length_scale_log_sd > 0.0
+    for name, unit, remedy in (
+        ("length_scale", " m", "noise.calibrate(scan, records=records)"),
+        ("gamma", "", "noise.calibrate(scan, records=records)"),
+    ):
+        known = np.asarray(getattr(noise, name))
+        if name not in records or np.ptp(known) > 0.0 or (averaged and name == "length_scale"):
+            continue
+        own = np.asarray(records[name].values, dtype=np.float64)
+        other = np.flatnonzero(np.abs(own - known[0]) > _SAME_FLOW * known[0])
+        if len(other):
+            raise InputError(
+                f"Record {other[0]} has a {name} of its own, {own[other[0]]:.3g}{unit}, and the noise knows only "
+                f"{known[0]:.3g}{unit}: make it with {remedy}, or leave it out with records.drop_vars({name!r})."
+            )
+
+
+def _check_duration(records: xr.Dataset, noise: Noise) -> None:
+    duration = float(records.attrs.get("duration", noise.duration))
+    if not np.isclose(duration, noise.duration):
+        raise InputError(
+            f"The records last {duration:g} s and the noise is for records of {noise.duration:g} s: "
+            "calibrate the noise for the records' duration."
+        )
+
+
+def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
+    """Return what makes each record's random stream its own: its start, or its number where there is no time."""
+    if "time" in records.coords and np.issubdtype(records["time"].dtype, np.datetime64):
+        starts = records["time"].values.astype("datetime64[ns]").astype(np.int64)
+        if len(np.unique(starts)) == len(starts):
+            return starts
+    return np.arange(records.sizes["record"], dtype=np.int64)

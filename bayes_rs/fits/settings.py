@@ -1,0 +1,344 @@
+"""Everything that a fit of files depends on: one object, a TOML file, the command's options, and in `run.json`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from bayes_rs._validation import check_count
+from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan, load_scan_text
+from bayes_rs.options import described, from_plain, nearest, option, options_of, to_plain
+from bayes_rs.output import output_file
+from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.quality.rules import QualityRules
+from bayes_rs.records.record_options import RecordOptions
+from bayes_rs.toml_file import read_toml
+
+RUN_SUFFIX = ".json"
+"""How the names of files end that are taken for the `run.json` of a run."""
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions:
+    """Which scan it is, and how it is mounted.
+
+    Examples
+    --------
+    >>> ScanOptions(scan="6-beam", opening_angle_deg=45.0).load().n_beam
+    6
+    """
+
+    scan: str | None = option(
+        None,
+        "A name that bayes-rs scans lists, or a TOML file; changes follow an @, as in zx-tm@probe=point",
+        choices="bayes_rs.models:SCANS",
+        open=True,
+    )
+    opening_angle_deg: float | None = option(
+        None, "Another half-cone opening angle", unit="degrees", flag="--opening-angle"
+    )
+    focus_distance: Sequence[float] | None = option(None, "Another focus distance; several for planes", unit="m")
+    tilt_deg: float | None = option(
+        None, "Another tilt; positive raises the beams that point upwind", unit="degrees", flag="--tilt"
+    )
+    yaw_deg: float | None = option(None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw")
+    scan_toml: str | None = option(None, "The text of a scan file, in place of its name", flag="")
+
+    def load(self) -> Scan:
+        """Return the scan.
+
+        Raises
+        ------
+        InputError
+            If none is named, or it is not valid.
+        """
+        mounted: dict[str, Any] = {
+            "opening_angle_deg": self.opening_angle_deg,
+            "focus_distance": None if self.focus_distance is None else list(self.focus_distance),
+            "tilt_deg": self.tilt_deg,
+            "yaw_deg": self.yaw_deg,
+        }
+        if self.scan_toml is None:
+            if self.scan is None:
+                raise InputError("No scan is given: name one with scan (--scan), such as zx-tm or a TOML file.")
+            return load_scan(self.scan, **mounted)
+        return load_scan_text(self.scan_toml, name=self.scan or "scan", **mounted)
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class InputOptions(FileOptions):
+    """Which files are read, and how they are written."""
+
+    files: Sequence[str] = option((), "Files, folders and patterns of radial velocities, or files of records", flag="")
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        names = (self.files,) if isinstance(self.files, (str, Path)) else self.files
+        object.__setattr__(self, "files", tuple(str(name) for name in names))
+
+    def of_reading(self) -> dict[str, Any]:
+        """Return the options of `bayes_rs.read` that are said, by name."""
+        return self.given()
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """Where the results go, and who does the work.
+
+    Raises
+    ------
+    InputError
+        If the number of workers is not valid.
+    """
+
+    output: str | None = option(None, "Folder to write", metavar="FOLDER")
+    overwrite: bool = option(False, "Replace the folder of an earlier run, once the new one is whole")
+    resume: bool = option(False, "Go on with an interrupted run of the same settings")
+    workers: int = option(1, "Processes that share the work")
+    scheduler: str | None = option(None, "Address of a Dask scheduler whose workers share the work")
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        check_count(self.workers, what="workers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Everything that a fit of files depends on, section by section.
+
+    It is the content of a settings file (TOML), with a table for each section; the options of ``bayes-rs fit``; and
+    what `run.json` holds of a run under ``settings``.
+
+    Parameters
+    ----------
+    scan : ScanOptions
+        Which scan it is.
+    files : InputOptions
+        Which files, and how they are written.
+    records : RecordOptions
+        How records are made.
+    quality : QualityRules
+        Which samples and records count.
+    noise : NoiseOptions
+        Which noise, or how it is made.
+    fit : FitOptions
+        The fit itself; its nuisances are the table ``fit.nuisances``.
+    output : OutputOptions
+        Where the results go.
+
+    Examples
+    --------
+    >>> settings = Settings().changed(scan="zx-tm", prior="flat", yaw_sd_deg=2.0)
+    >>> settings.fit.prior, settings.fit.nuisances.yaw_sd_deg
+    ('flat', 2.0)
+    """
+
+    scan: ScanOptions = field(default_factory=ScanOptions)
+    files: InputOptions = field(default_factory=InputOptions)
+    records: RecordOptions = field(default_factory=RecordOptions)
+    quality: QualityRules = field(default_factory=QualityRules)
+    noise: NoiseOptions = field(default_factory=NoiseOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+    output: OutputOptions = field(default_factory=OutputOptions)
+
+    def changed(self, **values: Any) -> Settings:
+        """Return settings with other values of some options.
+
+        Parameters
+        ----------
+        **values
+            Options of any section by their names, those of `Nuisances` among them.
+
+        Returns
+        -------
+        settings : Settings
+            The new settings, checked.
+
+        Raises
+        ------
+        InputError
+            If an option is not known or not valid.
+        """
+        places = option_places()
+        by_section: dict[tuple[str, ...], dict[str, Any]] = {}
+        for name, value in values.items():
+            if name not in places:
+                raise InputError(f"Unknown option {name!r}: {nearest(name, places)}.")
+            by_section.setdefault(places[name], {})[name] = value
+        nuisances = by_section.pop(("fit", "nuisances"), {})
+        if nuisances:
+            before = by_section.get(("fit",), {}).get("nuisances", self.fit.nuisances)
+            by_section.setdefault(("fit",), {})["nuisances"] = replace(before, **nuisances)
+        sections = {name: replace(getattr(self, name), **some) for (name,), some in by_section.items()}
+        return replace(self, **sections)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return all options as plain values, a mapping for each section."""
+        return {name: to_plain(getattr(self, name)) for name in SECTIONS}
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the settings to a TOML file, which `load` reads; files are written with their whole paths.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write.
+        overwrite : bool
+            Replace an existing file.
+
+        Raises
+        ------
+        InputError
+            If the file exists and may not be replaced, or an option cannot be written.
+        """
+        import tomli_w  # noqa: PLC0415 - seldom needed
+
+        plain = _without_none(self.with_whole_paths().to_plain())
+        with output_file(path, overwrite=overwrite) as part:
+            part.write_text(tomli_w.dumps(plain), encoding="utf-8")
+
+    def with_whole_paths(self) -> Settings:
+        """Return the settings with the paths of files from the root on, so that they hold in every folder."""
+        here = Path.cwd()
+        files = tuple(str(here / name) for name in self.files.files)
+        motion = tuple(str(here / name) for name in self.records.motion)
+        noise = None if self.noise.noise is None else str(here / self.noise.noise)
+        return replace(
+            self,
+            files=replace(self.files, files=files),
+            records=replace(self.records, motion=motion),
+            noise=replace(self.noise, noise=noise),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Settings:
+        """Read settings from a TOML file, or from the ``run.json`` of a run, which they repeat.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file. Relative paths in it are relative to its folder.
+
+        Returns
+        -------
+        settings : Settings
+            Checked.
+
+        Raises
+        ------
+        InputError
+            If there is no such file, a section or an option is not known, or a value is not valid.
+        """
+        file = Path(path)
+        if not file.is_file():
+            raise InputError(f"No settings file {str(file)!r}: give a TOML file, or the run.json of a run.")
+        plain = _of_run(file) if file.suffix == RUN_SUFFIX else read_toml(file)
+        settings = cls.from_plain(plain, where=f"settings file {str(file)!r}")
+        at = file.parent
+        return replace(
+            settings,
+            files=replace(settings.files, files=tuple(str(at / name) for name in settings.files.files)),
+            records=replace(settings.records, motion=tuple(str(at / name) for name in settings.records.motion)),
+            noise=replace(
+                settings.noise, noise=None if settings.noise.noise is None else str(at / settings.noise.noise)
+            ),
+        )
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any], *, where: str) -> Settings:
+        """Make settings from plain values, a mapping for each section.
+
+        Parameters
+        ----------
+        plain : mapping
+            As from `to_plain`; what is missing has its default.
+        where : str
+            Where they stand, for messages.
+
+        Returns
+        -------
+        settings : Settings
+            Checked.
+
+        Raises
+        ------
+        InputError
+            If a section or an option is not known, or a value is not valid.
+        """
+        sections: dict[str, Any] = {}
+        for name, values in plain.items():
+            if name not in SECTIONS:
+                raise InputError(f"Unknown section {name!r} in {where}: {nearest(name, SECTIONS)}.")
+            if not isinstance(values, Mapping):
+                raise InputError(f"Invalid section {name!r} in {where}: it must be a table of options, as [{name}].")
+            sections[name] = from_plain(SECTIONS[name], values, where=f"{where}, section {name}")
+        return cls(**sections)
+
+
+SECTIONS: dict[str, type] = {
+    "scan": ScanOptions,
+    "files": InputOptions,
+    "records": RecordOptions,
+    "quality": QualityRules,
+    "noise": NoiseOptions,
+    "fit": FitOptions,
+    "output": OutputOptions,
+}
+"""The sections of the settings, and the classes of their options."""
+
+
+def option_places() -> dict[str, tuple[str, ...]]:
+    """Return the section of each option by its name; ``("fit", "nuisances")`` for those of `Nuisances`.
+
+    Of two options of one name, ``status_valid``, it is that of the files: the other is a rule of quality, which a file
+    of settings can name.
+    """
+    places: dict[str, tuple[str, ...]] = {}
+    for name, cls in SECTIONS.items():
+        for entry in options_of(cls):
+            places.setdefault(entry.name, (name,))
+    for entry in options_of(Nuisances):
+        places.setdefault(entry.name, ("fit", "nuisances"))
+    return places
+
+
+def _of_run(file: Path) -> dict[str, Any]:
+    """Return the settings that a `run.json` holds, such that they repeat the run from its own folder."""
+    try:
+        run = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"File {str(file)!r} cannot be read as the run.json of a run: {error}.") from error
+    if not isinstance(run, dict) or not isinstance(run.get("settings"), dict):
+        raise InputError(f"File {str(file)!r} is not the run.json of a fit: it has no settings.")
+    plain = {name: dict(values) for name, values in run["settings"].items() if isinstance(values, Mapping)}
+    if plain.get("fit", {}).get("prior", "") is None:
+        raise InputError(
+            f"The run of {str(file)!r} had a prior that is an object of Python ({run.get('prior')}), so it cannot be "
+            "repeated from its file: fit again in Python."
+        )
+    plain["scan"] = {"scan": run["scan"], "scan_toml": run["scan_toml"]}
+    plain.setdefault("files", {}).setdefault("files", [])
+    if not plain["files"]["files"]:
+        plain["files"]["files"] = ["records.nc"]
+    plain.pop("output", None)
+    return plain
+
+
+def _without_none(plain: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what is not said: TOML has no null."""
+    return {
+        name: _without_none(value) if isinstance(value, dict) else value
+        for name, value in plain.items()
+        if value is not None
+    }

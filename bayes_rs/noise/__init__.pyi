@@ -1,0 +1,9 @@
+from .box_noise import Boxes as Boxes
+from .by_theory import SonicMoments as SonicMoments
+from .by_theory import sonic_moments as sonic_moments
+from .by_theory import theory as theory
+from .calibrating import calibrate as calibrate
+from .file import load as load
+from .noise import Noise as Noise
+from .record_noise import RecordNoise as RecordNoise
+from .record_noise import SonicNoise as SonicNoise

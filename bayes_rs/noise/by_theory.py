@@ -1,0 +1,263 @@
+"""The noise of a record by theory: mean and covariance of the beam variances of finite records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_rs._validation import FloatArray, check_finite, check_non_negative, check_positive
+from bayes_rs.errors import NotPositiveDefiniteError
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.probe import PROBE_ERROR, PointProbe
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.noise import Noise
+from bayes_rs.theory.pairs import distinct_pairs
+from bayes_rs.theory.probed import CHUNK, probe_transfer, probed_covariance
+from bayes_rs.theory.sampling_times import sample_counts
+from bayes_rs.theory.sonic_theory import SonicMoments, sonic_moments, whitened_moments
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
+from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
+from bayes_rs.turbulence.two_point import INDEX_PAIRS, radial_covariance, resolution_for
+
+__all__ = ["SonicMoments", "sonic_moments", "theory", "theory_noise"]
+
+
+def theory_noise(
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path = "fu-2022",
+    *,
+    wind_speed: float,
+    duration: float = 600.0,
+    yaw: float | None = None,
+    detrend: str = "mean",
+    tolerance: float = 1e-4,
+    probe_tolerance: float = 1e-3,
+    sonic: bool = False,
+    sonic_position: ArrayLike = (0.0, 0.0, 0.0),
+) -> Noise:
+    """Return the noise of a record's beam variances for Gaussian, frozen Mann turbulence, with the scan's probe volume.
+
+    Parameters
+    ----------
+    scan : Scan, str or Path
+        The scan, its name or file: beam b is sampled at beam_time_b + i · scan_duration while that is in the record.
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name or its file; its dissipation has no influence.
+    wind_speed : float
+        Mean wind speed U, m/s.
+    duration : float
+        Length of the record T, s.
+    yaw : float, optional
+        Wind direction relative to the lidar axis ψ, rad; the mounting's own if not given.
+    detrend : str
+        ``"mean"`` or ``"linear"``: what is removed from each beam's record first.
+    tolerance : float
+        Largest error of a velocity covariance, relative to the variance of u.
+    probe_tolerance : float
+        Beams are taken for points if the probe volume takes no more than this part of any beam's variance.
+    sonic : bool
+        Add the joint moments with the stresses of a sonic (`sonic_moments`), for the target ``"sonic"``.
+    sonic_position : array_like, shape (3,)
+        Where the sonic is, m from the lidar in the mean-wind frame; at the lidar, the rotor's centre, if not given.
+
+    Returns
+    -------
+    noise : Noise
+        Bias, gain and relative covariance. Its details hold ``covariance_error``, a bound on the error of every entry
+        of K that follows from `tolerance`, and ``negative_part``: where the true K is singular, the error can leave
+        eigenvalues just below zero; they are set to zero, which moves K towards the truth (to the nearest point of
+        a convex set that holds it), and this is the size of the lowest of them over the largest eigenvalue. For a scan
+        with a probe volume, they also hold ``probe``, ``probe_loss``, the largest part of a beam's variance that it
+        takes, ``probe_as_points``, and ``probe_error``, a bound on the error that this leaves in K, relative to its
+        largest entry, which is part of ``covariance_error``.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid, or a beam has fewer than two samples (three for linear detrending).
+    NotPositiveDefiniteError
+        If the negative part is larger than the error bound explains.
+
+    Notes
+    -----
+    With C_ab the matrix of covariances between the samples of beams a and b, P the projection that removes the mean or
+    the line, and s² = ‖P v‖²/N, Isserlis' theorem gives
+
+        E s_b² = tr(P C_bb P) / N_b,     Cov[s_a², s_b²] = 2 ‖P C_ab P‖²_F / (N_a N_b),
+
+    bias_b = E s_b² / n·Rn − 1 and K_ab = Cov[s_a², s_b²] / (E s_a² E s_b²). C_ab is a Toeplitz matrix, so
+    `toeplitz_inner` needs its N_a + N_b − 1 numbers only. A lag τ is a separation −Uτ along the wind.
+
+    With a probe volume, C_ab is that of the probed velocities, `probed_covariance`. The gain of beam b is its row of
+    the design matrix with the factors √(G_ii G_jj), scaled so that gain_b times the model's expected stresses of a
+    record, sampled as beam b is, is E s_b²; bias_b = E s_b² / (gain_b · R) − 1. G_ii is the part that the probe along
+    n_b leaves of the variance of component i, see `probe_transfer`.
+
+    Examples
+    --------
+    >>> noise = theory_noise("staring", wind_speed=10.0)
+    >>> float(noise.bias[0, 0].round(3)), float(noise.relative_error[0, 0].round(3))
+    (-0.125, 0.258)
+    """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
+    check_positive(wind_speed, what="wind_speed", unit="m/s")
+    check_positive(duration, what="duration", unit="s")
+    promised, resolution = resolution_for(tolerance, turbulence.gamma)
+    angle = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad")
+    line_of_sight, geometry = scan.at_yaw(angle), scan.geometry()
+    count = sample_counts(scan, duration, detrend)
+    scan, about_probe, rows = _apply_probe(scan, line_of_sight, turbulence, tolerance, probe_tolerance)
+    pairs = distinct_pairs(scan, line_of_sight, count, wind_speed)
+    inner, trace = np.empty(len(pairs.across)), np.empty(len(pairs.across))
+    for samples in np.unique(pairs.samples, axis=0):
+        members = np.flatnonzero(np.all(pairs.samples == samples, axis=1))
+        n_a, n_b = int(samples[0]), int(samples[1])
+        lag = wind_speed * scan.scan_duration * np.arange(-(n_a - 1), n_b)
+        for part in np.array_split(members, int(np.ceil(len(members) * len(lag) / CHUNK))):
+            covariance = probed_covariance(
+                pairs.first[part],
+                pairs.second[part],
+                pairs.across[part],
+                pairs.along[part, np.newaxis] - lag,
+                turbulence,
+                probe=scan.probe,
+                lengths=pairs.lengths[part],
+                tolerance=tolerance,
+            )
+            inner[part] = toeplitz_inner(covariance, covariance, n_a, n_b, detrend=detrend) / (n_a * n_b)
+            own = pairs.own[part]
+            if np.any(own):  # then n_a = n_b
+                trace[part[own]] = toeplitz_trace(covariance[own], n_a, detrend=detrend) / n_a
+    mean = trace[pairs.distinct[pairs.row == pairs.column]]
+    gain = rows
+    if not isinstance(scan.probe, PointProbe):
+        record = _record_stresses(scan, turbulence, count, wind_speed, detrend, tolerance)
+        gain = rows * (mean / np.sum(rows * record, axis=-1))[:, np.newaxis]
+    expected = gain @ turbulence.stresses()
+    relative = np.zeros((scan.n_beam, scan.n_beam))
+    relative[pairs.row, pairs.column] = 2.0 * inner[pairs.distinct] / (mean[pairs.row] * mean[pairs.column])
+    relative[pairs.column, pairs.row] = relative[pairs.row, pairs.column]
+    error = _covariance_error(relative, mean, promised * float(turbulence.stresses()[0]))
+    if about_probe:
+        probe_error = PROBE_ERROR
+        if about_probe["probe_as_points"]:  # the loss changes every covariance by that part of a variance, and E twice
+            lost = max(about_probe["probe_loss"], 0.0)
+            lost_covariance = _covariance_error(relative, mean, lost * float(np.max(expected)))
+            probe_error = 2.0 * lost + lost_covariance / float(np.max(relative))
+        about_probe["probe_error"] = probe_error
+        error += probe_error * float(np.max(relative))
+    relative, negative_part = _nearest_covariance(relative, error)
+    about_sonic: dict[str, Any] = {}
+    sonic_covariance = sonic_beam_covariance = None
+    if sonic:
+        moments = sonic_moments(
+            scan,
+            turbulence,
+            wind_speed=wind_speed,
+            duration=duration,
+            yaw=angle,
+            position=sonic_position,
+            detrend=detrend,
+            tolerance=tolerance,
+        )
+        sonic_covariance, sonic_beam_covariance = whitened_moments(moments, mean)
+        about_sonic = {"sonic_position": [float(value) for value in np.asarray(sonic_position)]}
+    return Noise(
+        bias=mean / expected - 1.0,
+        gain=gain,
+        covariance=relative,
+        beam=scan.beam,
+        scan_name=scan.name,
+        scan_geometry=geometry,
+        wind_speed=wind_speed,
+        yaw=angle,
+        duration=duration,
+        turbulence=turbulence,
+        method="theory",
+        n_realizations=np.inf,
+        details={
+            "detrend": detrend,
+            "velocity_covariance_error": promised,
+            "covariance_error": error,
+            "negative_part": negative_part,
+            "n_pairs": len(pairs.row),
+            "n_unique_pairs": len(pairs.across),
+            "samples": [int(np.min(count)), int(np.max(count))],
+            "quadrature_step": resolution.step,
+            "n_harmonic": resolution.n_harmonic,
+            **about_probe,
+            **about_sonic,
+        },
+        sonic_covariance=sonic_covariance,
+        sonic_beam_covariance=sonic_beam_covariance,
+    )
+
+
+def _apply_probe(
+    scan: Scan, line_of_sight: FloatArray, turbulence: MannTurbulence, tolerance: float, probe_tolerance: float
+) -> tuple[Scan, dict[str, Any], FloatArray]:
+    """Return the scan, what to report of its probe, and gains up to a factor; beams that need no probe see points."""
+    check_non_negative(probe_tolerance, what="probe_tolerance", unit="")
+    rows = design_matrix(line_of_sight)
+    if isinstance(scan.probe, PointProbe):
+        return scan, {}, rows
+    transfer, filtered = probe_transfer(line_of_sight, scan.probe_length, scan.probe, turbulence, tolerance=tolerance)
+    loss = float(np.max(1.0 - np.sum(rows * filtered, axis=-1) / (rows @ turbulence.stresses())))
+    about = {"probe": scan.probe.kind, "probe_loss": loss}
+    if loss <= probe_tolerance:
+        return replace(scan, probe=PointProbe()), {**about, "probe_as_points": True}, rows
+    return scan, {**about, "probe_as_points": False}, rows * transfer
+
+
+def _record_stresses(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    count: NDArray[np.int64],
+    wind_speed: float,
+    detrend: str,
+    tolerance: float,
+) -> FloatArray:
+    """Return the expected stresses of a record at one point, sampled as each beam is, shape (n_beam, 6), m² s⁻²."""
+    axes, pair = np.eye(3), np.array(INDEX_PAIRS)
+    record = np.empty((scan.n_beam, len(STRESSES)))
+    for size in np.unique(count).tolist():
+        lag = wind_speed * scan.scan_duration * np.arange(-(size - 1), size)
+        own = radial_covariance(
+            axes[pair[:, 0]],
+            axes[pair[:, 1]],
+            np.zeros((len(pair), 2)),
+            np.broadcast_to(lag, (len(pair), len(lag))),
+            turbulence,
+            tolerance=tolerance,
+        )
+        record[count == size] = toeplitz_trace(own, size, detrend=detrend) / size
+    return record
+
+
+def _covariance_error(relative: FloatArray, mean: FloatArray, velocity_error: float) -> float:
+    """Bound the error of K by Cauchy and Schwarz: |δ‖PCP‖²| ≤ 2 ‖PCP‖ ‖δC‖ to first order, with ‖δC‖ ≤ N · error."""
+    return float(2.0 * np.sqrt(2.0 * np.max(relative)) * velocity_error / np.min(mean))
+
+
+def _nearest_covariance(relative: FloatArray, error: float) -> tuple[FloatArray, float]:
+    """Return the nearest positive semi-definite matrix (Higham 1988), and how far below zero it was, relatively."""
+    values, vectors = np.linalg.eigh(relative)
+    if values[0] < -error * len(relative):
+        raise NotPositiveDefiniteError(
+            f"The covariance by theory has the eigenvalue {values[0]:g}, more below zero than its error {error:g} "
+            "allows; ask for a smaller tolerance.",
+            smallest_eigenvalue=float(values[0]),
+        )
+    kept = np.maximum(values, 0.0)
+    nearest = (vectors * kept) @ vectors.T
+    return 0.5 * (nearest + nearest.T), float(max(-values[0], 0.0) / values[-1])
+
+
+theory = theory_noise
+"""Its name in `bayes_rs.noise`."""

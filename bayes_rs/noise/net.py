@@ -1,0 +1,311 @@
+"""Nets of states, by theory, that are just fine enough for the noise between them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bayes_rs._validation import FloatArray, check_array, check_positive
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.at_states import noise_key, theory_at_states
+from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.store import cache_folder, from_cache, renamed, to_cache, with_details
+from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.turbulence.interpolation import find_net, interpolate_covariance
+from bayes_rs.turbulence.mann import MannTurbulence
+
+BANK_VERSION = 1
+"""Counts the changes of this module that change its numbers."""
+
+TOLERANCE = 0.01
+"""Largest relative error of K between states, where no other is asked for."""
+
+_MOST_STATES = 1000
+"""A net is not refined beyond this many states; then its error may be above the tolerance, and its details say so."""
+_NO_EXTENT = 1e-9  # of ln U, degrees, ln L and Γ
+
+
+class _Axis(NamedTuple):
+    """One axis of the nets: its nodes are anchor + step · (whole number) / 2^halvings."""
+
+    anchor: float
+    step: float
+
+
+_AXES = (  # ln U, yaw in degrees, ln L, Γ
+    _Axis(float(np.log(10.0)), float(np.log(2.0))),
+    _Axis(0.0, 20.0),
+    _Axis(float(np.log(10.0)), float(np.log(2.0))),
+    _Axis(0.0, 1.5),
+)
+
+
+def refined_noise(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    *,
+    wind_speed: Sequence[float],
+    yaw_deg: Sequence[float] | None = None,
+    length_scale: Sequence[float] | None = None,
+    gamma: Sequence[float] | None = None,
+    duration: float = 600.0,
+    tolerance: float = TOLERANCE,
+    error_beams: int = 16,
+    cache: bool | str | Path = True,
+    sonic: bool = False,
+    progress: bool | None = None,
+) -> Noise:
+    """Return the noise of a scan by theory over a range of wind speeds and directions, in a net that is interpolated.
+
+    Parameters
+    ----------
+    scan : Scan
+        The scan.
+    turbulence : MannTurbulence
+        The turbulence.
+    wind_speed : sequence of float
+        Mean wind speeds of the records, m/s: the net reaches from the lowest to the highest.
+    yaw_deg : sequence of float, optional
+        Wind directions of the records relative to the lidar axis, degrees; by default the scan's own yaw.
+    length_scale, gamma : sequence of float, optional
+        Length scales L, m, and anisotropies Γ that the net reaches over, too; by default only those of `turbulence`.
+    duration : float
+        Length of a record, s.
+    tolerance : float
+        Largest relative error of K between the states that is asked for.
+    error_beams : int
+        The error is measured with so many of the beams, evenly chosen: their covariances are a part of K.
+    cache : bool, str or Path
+        True to use the user's cache folder, False for none, or another folder.
+    sonic : bool
+        Add the joint moments with the stresses of a sonic at the rotor's centre, which the target ``"sonic"`` of `fit`
+        needs. The error is then that of the joint covariance of the beams and the sonic.
+    progress : bool, optional
+        Show progress bars; by default if stderr is a terminal.
+
+    Returns
+    -------
+    noise : Noise
+        Its details hold ``interpolation_error``, the largest ‖δK‖/‖K‖ (Frobenius) against theory in the middle of every
+        cell, ``interpolation_error_beams`` and ``interpolation_tolerance``.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Notes
+    -----
+    The nodes are 10 · 2ⁱ m/s, multiples of 20°, 10 · 2ⁱ m and multiples of 1.5 in Γ. They do not move with the records,
+    so that the cache serves other days. While the error is above the tolerance, the axis with the largest error of its
+    own, measured between its nodes at the nodes of the others, gets twice as many intervals. A range without extent is
+    one node, where it is.
+
+    Examples
+    --------
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> from bayes_rs.turbulence.mann import load_turbulence
+    >>> noise = refined_noise(load_scan("staring"), load_turbulence("fu-2022"), wind_speed=[6.0, 12.0], cache=False)
+    >>> len(noise), noise.interpolation_error < 0.01
+    (3, True)
+    """
+    check_positive(tolerance, what="tolerance", unit="")
+    ranges = [
+        np.log(_range(wind_speed, "wind_speed", above=0.0)),
+        _range([np.rad2deg(scan.yaw)] if yaw_deg is None else yaw_deg, "yaw_deg"),
+        np.log(_range([turbulence.length_scale] if length_scale is None else length_scale, "length_scale", above=0.0)),
+        _range([turbulence.gamma] if gamma is None else gamma, "gamma"),
+    ]
+    if all(span[1] - span[0] <= _NO_EXTENT for span in ranges[2:]):  # it is this flow's net, whatever was given
+        scale = turbulence.length_scale if length_scale is None else float(np.min(length_scale))
+        turbulence = replace(turbulence, length_scale=scale, gamma=float(ranges[3][0]))
+    count = max(min(int(error_beams), scan.n_beam), 1)
+    some = scan.select(scan.beam[np.unique(np.linspace(0, scan.n_beam - 1, count).round().astype(int))])
+    key = _key(scan, turbulence, ranges, duration, tolerance, count, sonic)
+    file = cache_folder(cache) / f"{key}.nc" if cache is not False else None
+    if file is not None:
+        found, _ = from_cache(file, key)
+        if found is not None:
+            return renamed(found, scan, turbulence)
+    axes, error = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
+    states = _Theory(scan, turbulence, duration, progress, sonic=sonic).states(_points(axes))
+    noise = with_details(
+        Noise.join(states),
+        interpolation_error=error,
+        interpolation_error_beams=count,
+        interpolation_tolerance=tolerance,
+        key=key,
+        origin="calculated",
+    )
+    if file is not None:
+        to_cache(noise, file)
+    return noise
+
+
+def measure_interpolation(noise: Noise, scan: Scan, *, progress: bool | None = None) -> float:
+    """Return the largest relative error of K between the states of a net by theory, measured with all its beams.
+
+    Parameters
+    ----------
+    noise : Noise
+        Noise by theory whose states form a net.
+    scan : Scan
+        Its scan.
+    progress : bool, optional
+        Show a progress bar; by default if stderr is a terminal.
+
+    Returns
+    -------
+    error : float
+        max ‖K_interpolated − K_theory‖ / ‖K_theory‖ (Frobenius) in the middle of every cell; 0 if there is no cell.
+
+    Raises
+    ------
+    InputError
+        If the states form no net, or the scan is another.
+    """
+    noise.check_scan(scan)
+    if noise.net is None:
+        raise InputError("The states of this noise form no net, so nothing is interpolated between them.")
+    axes = [noise.net.axes[0], np.rad2deg(noise.net.axes[1]), noise.net.axes[2], noise.net.axes[3]]
+    middle = _points(_middles(axes))
+    truth = _Theory(scan, noise.turbulence, noise.duration, progress).covariances(middle)
+    between = noise.for_records(
+        np.exp(middle[:, 0]), np.deg2rad(middle[:, 1]), length_scale=np.exp(middle[:, 2]), gamma=middle[:, 3]
+    )
+    return _largest(between.covariance, truth)
+
+
+class _Theory:
+    """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
+
+    def __init__(
+        self, scan: Scan, turbulence: MannTurbulence, duration: float, progress: bool | None, *, sonic: bool = False
+    ) -> None:
+        self.scan, self.turbulence, self.duration, self.progress = scan, turbulence, duration, progress
+        self.sonic = sonic
+        self.known: dict[tuple[float, ...], Noise] = {}
+
+    def states(self, points: FloatArray) -> list[Noise]:
+        """Return the noise at points, shape (n, 4)."""
+        names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
+        missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.known}
+        for flow in sorted({name[2:] for name in missing}):
+            group = {name: point for name, point in missing.items() if name[2:] == flow}
+            states = [self._state(point) for point in group.values()]
+            made = theory_at_states(states, self._flow(flow), sonic=self.sonic, progress=self.progress)
+            self.known.update(zip(group, made, strict=True))
+        return [self.known[name] for name in names]
+
+    def covariances(self, points: FloatArray) -> FloatArray:
+        """Return K at points, shape (n, n_beam, n_beam); with a sonic the joint covariance, six rows larger."""
+        return np.concatenate([n.joint_covariance if self.sonic else n.covariance for n in self.states(points)])
+
+    def _state(self, point: FloatArray) -> RecordState:
+        return RecordState(
+            self.scan, round(float(np.exp(point[0])), 9), float(np.deg2rad(round(float(point[1]), 9))), self.duration
+        )
+
+    def _flow(self, flow: tuple[float, ...]) -> MannTurbulence:
+        length_scale, gamma = float(np.exp(flow[0])), flow[1]
+        if abs(length_scale - self.turbulence.length_scale) <= 1e-6 and abs(gamma - self.turbulence.gamma) <= 1e-9:
+            return self.turbulence
+        return replace(self.turbulence, length_scale=round(length_scale, 6), gamma=gamma)
+
+
+def _refined(theory: _Theory, ranges: list[FloatArray], tolerance: float) -> tuple[list[FloatArray], float]:
+    """Return the axes of the coarsest net that keeps the tolerance, and its error."""
+    halvings = [0] * len(_AXES)
+    while True:
+        axes = [_nodes(axis, span, halved) for axis, span, halved in zip(_AXES, ranges, halvings, strict=True)]
+        error = _error(theory, axes, _points(_middles(axes)))
+        if error <= tolerance:
+            return axes, error
+        trials = []
+        for index, axis in enumerate(axes):
+            between = [*axes[:index], _middles([axis])[0], *axes[index + 1 :]]
+            trials.append(_error(theory, axes, _points(between)) if len(axis) > 1 else -1.0)
+        worst = int(np.argmax(trials))
+        size = np.prod([2 * len(axis) - 1 if index == worst else len(axis) for index, axis in enumerate(axes)])
+        if size > _MOST_STATES:
+            return axes, error
+        halvings[worst] += 1
+
+
+def _error(theory: _Theory, axes: list[FloatArray], points: FloatArray) -> float:
+    """Return the largest relative error of K that a net has at points."""
+    nodes = _points(axes)
+    net = find_net(nodes)
+    if net is None:  # one state
+        return 0.0
+    between, _ = interpolate_covariance(theory.covariances(nodes), net.weights(points)[0])
+    return _largest(between, theory.covariances(points))
+
+
+def _largest(have: FloatArray, want: FloatArray) -> float:
+    off = np.linalg.norm(have - want, axis=(-2, -1)) / np.linalg.norm(want, axis=(-2, -1))
+    return float(np.max(off))
+
+
+def _nodes(axis: _Axis, span: FloatArray, halvings: int) -> FloatArray:
+    """Return the nodes of one axis that hold a range."""
+    if span[1] - span[0] <= _NO_EXTENT:
+        return span[:1]
+    first, last = _ends(axis, span)
+    return np.asarray(axis.anchor + axis.step * np.linspace(first, last, (last - first) * 2**halvings + 1))
+
+
+def _ends(axis: _Axis, span: FloatArray) -> tuple[int, int]:
+    """Return the first and the last node of the coarsest net."""
+    steps = (span - axis.anchor) / axis.step
+    return int(np.floor(steps[0] + 1e-9)), int(np.ceil(steps[1] - 1e-9))
+
+
+def _middles(axes: list[FloatArray]) -> list[FloatArray]:
+    return [0.5 * (axis[1:] + axis[:-1]) if len(axis) > 1 else axis for axis in axes]
+
+
+def _points(axes: list[FloatArray]) -> FloatArray:
+    return np.array(list(product(*axes)), dtype=np.float64)
+
+
+def _range(values: Sequence[float], name: str, above: float | None = None) -> FloatArray:
+    numbers = check_array(np.atleast_1d(values), (None,), what=name)
+    if len(numbers) == 0 or (above is not None and np.min(numbers) <= above):
+        raise InputError(f"Invalid {name} {values!r}: give numbers above zero, of which the net takes the range.")
+    return np.array([np.min(numbers), np.max(numbers)])
+
+
+def _key(
+    scan: Scan,
+    turbulence: MannTurbulence,
+    ranges: list[FloatArray],
+    duration: float,
+    tolerance: float,
+    error_beams: int,
+    sonic: bool,
+) -> str:
+    """Return the key of a net: that of theory at one state, and everything that fixes the net."""
+    state = RecordState(scan, 10.0, 0.0, duration)
+    spans = [
+        [float(round(span[0], 9))] if span[1] - span[0] <= _NO_EXTENT else list(_ends(axis, span))
+        for axis, span in zip(_AXES, ranges, strict=True)
+    ]
+    everything = {
+        "bank_version": BANK_VERSION,
+        "theory": noise_key([state], turbulence, sonic=sonic),
+        "axes": _AXES,
+        "spans": spans,
+        "tolerance": tolerance,
+        "error_beams": error_beams,
+        "most_states": _MOST_STATES,
+    }
+    return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:40]

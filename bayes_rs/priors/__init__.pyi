@@ -1,0 +1,9 @@
+from .flat import FlatPrior as FlatPrior
+from .gaussian import GaussianPrior as GaussianPrior
+from .interface import Prior as Prior
+from .mann_family import MannPrior as MannPrior
+from .ratio import RatioPrior as RatioPrior
+from .ratio import WeakPrior as WeakPrior
+from .registry import PRIORS as PRIORS
+from .registry import make_prior as make_prior
+from .sample import SamplePrior as SamplePrior

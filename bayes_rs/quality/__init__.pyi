@@ -1,0 +1,12 @@
+from .filtering import ALWAYS_LISTED as ALWAYS_LISTED
+from .filtering import Filtered as Filtered
+from .filtering import apply_filters as apply_filters
+from .groups import group_median as group_median
+from .groups import group_moments as group_moments
+from .periodicity import Periodicity as Periodicity
+from .periodicity import find_periodicity as find_periodicity
+from .rules import QualityRules as QualityRules
+from .samples import BeamSamples as BeamSamples
+from .sectors import in_sectors as in_sectors
+from .spikes import MAD_TO_SIGMA as MAD_TO_SIGMA
+from .spikes import is_spike as is_spike

@@ -1,0 +1,10 @@
+from .format import FileFormat as FileFormat
+from .interface import Reader as Reader
+from .rays import Rays as Rays
+from .reading import FileOptions as FileOptions
+from .reading import read as read
+from .registry import READERS as READERS
+from .samples import Samples as Samples
+from .streaming import stream as stream
+from .survey import find_scan as find_scan
+from .zx import read_statistics as read_statistics

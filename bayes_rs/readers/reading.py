@@ -1,0 +1,110 @@
+"""Radial velocities from files, read whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from bayes_rs._validation import check_choice
+from bayes_rs.errors import InputError
+from bayes_rs.file_options import FileOptions
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.options import from_plain
+from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.format import resolve_format
+from bayes_rs.readers.registry import FORMATS, SUFFIXES, read_file
+from bayes_rs.readers.samples import FilesReport, Samples, check_order, join_samples, no_sample, none_read
+
+__all__ = ["FileOptions", "checked_options", "read"]
+
+
+def read(files: str | Path | Sequence[str | Path], scan: str | Path | Scan, **options: Any) -> xr.Dataset:
+    r"""Read a lidar's radial velocities from one or several files.
+
+    Parameters
+    ----------
+    files : str, Path or sequence of them
+        Files in any order, also compressed (``.gz``, ``.bz2``, ``.xz``, ``.zst``, ``.zip``); folders, of which all
+        files with a known suffix are read, but hidden and temporary ones; patterns such as ``2024-*/*.nc``.
+    scan : Scan, str or Path
+        The scan that the files were measured with, or its name or file. Beams that the files lack are reported, not
+        refused.
+    **options
+        How the files are written, and what to do with bad ones: the fields of `bayes_rs.readers.FileOptions`, as
+        ``positive="towards"`` or ``columns={"radial_velocity": "RWS"}``. An option that is given counts before the
+        scan's own ``[file]`` table, which counts before the default of the file's format.
+
+    Returns
+    -------
+    series : xarray.Dataset
+        ``radial_velocity`` (sample), m/s, positive away from the lidar, NaN where missing; coordinates ``time``
+        (sample), UTC, and ``beam`` (sample), the scan's beam numbers; ``cnr`` (sample), dB, and ``status`` (sample)
+        where the files have them. Sorted by time, then beam. ``attrs["read_report"]`` counts in JSON what was read
+        and dropped, and says for each file its format, the options it was read with, and which of them are the
+        format's own defaults.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, empty or of an unknown kind, a column is missing, an entry is not a number, time or beam
+        of the scan, time goes backwards, or an option is not valid. The message names file, line and column.
+
+    Notes
+    -----
+    Rows without a time or a beam are dropped and counted; rows without a velocity are kept as NaN, so that
+    `make_records` can count them. Rows that repeat a sample (same beam, time and velocity) are dropped and counted:
+    overlapping files are welcome. A NetCDF file whose variable ``radial_velocity`` has the attribute ``positive`` (as
+    those that this package writes) describes itself, and the scan's ``[file]`` table is not used for it. Nothing is
+    added to times for the beam's place within the scan. Every format with its source, sign, stamp, zone and invalid
+    values stands in docs/formats.md; `bayes_rs.readers.stream` reads the same without holding all in memory.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> lines = "time,beam,radial_velocity\n2020-09-03T19:00:00,0,-36.0\n2020-09-03T19:00:01,1,-18.0\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "day.csv"
+    ...     _ = file.write_text(lines)
+    ...     series = read(file, "2-beam", velocity_unit="km/h")
+    >>> series["radial_velocity"].values
+    array([-10.,  -5.])
+    """
+    of_scan = as_scan(scan)
+    chosen = checked_options(options, of_scan)
+    found = find_files(files, SUFFIXES)
+    parts: list[Samples] = []
+    skipped: list[dict[str, str]] = []
+    for file in found.paths:
+        try:
+            part = read_file(file, of_scan, chosen)
+            if len(part.time) == 0:
+                raise no_sample(file, part.counts.get("rows", 0))
+            if part.file_format.out_of_order == "error":
+                check_order(part)
+        except InputError as error:
+            if chosen.on_bad_file == "error":
+                raise
+            skipped.append({"name": file.name, "reason": str(error)})
+        else:
+            parts.append(part)
+    if not parts:
+        raise none_read(len(skipped), skipped[0]["reason"])
+    return join_samples(parts, of_scan, report=FilesReport(skipped=skipped, passed_over=found.passed_over))
+
+
+def checked_options(options: Mapping[str, Any], scan: Scan) -> FileOptions:
+    """Return the options of reading, checked by themselves and with those of a scan.
+
+    Raises
+    ------
+    InputError
+        If one is not known or not valid.
+    """
+    chosen = from_plain(FileOptions, options, where="the options of reading")
+    check_choice(chosen.file_format, tuple(FORMATS), what="file_format")
+    resolve_format(chosen, scan)
+    return chosen

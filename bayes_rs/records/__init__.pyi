@@ -1,0 +1,12 @@
+from .availability import availability_table as availability_table
+from .flags import BEAM_FLAGS as BEAM_FLAGS
+from .flags import RECORD_FLAGS as RECORD_FLAGS
+from .flags import REMARK_FLAGS as REMARK_FLAGS
+from .making import make_records as make_records
+from .record_files import open_record_files as open_record_files
+from .record_files import open_records as open_records
+from .record_options import RecordOptions as RecordOptions
+from .record_store import StoredRecords as StoredRecords
+from .record_store import store_records as store_records
+from .report import describe_report as describe_report
+from .stream import stream_records as stream_records

@@ -1,0 +1,60 @@
+"""Counts for the report of records: samples by what became of them, records and beams by their flags."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.filtering import Filtered
+from bayes_rs.quality.samples import IntArray
+from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, count_flags
+from bayes_rs.records.record_samples import SortedSamples
+
+_AHEAD = 0.5
+"""Mean of the beams' components along the axis from which on a scan has a front, so that wind can come from behind."""
+_RARELY = 0.5
+"""A beam that is flagged in more than this share of the records with samples is reported as rarely usable."""
+
+
+def samples_report(came: SortedSamples, filtered: Filtered, n_sample: int) -> dict[str, Any]:
+    """Count the samples: n_sample = duplicates + dropped by each filter + used, in all and for each beam."""
+
+    def by_beam(chosen: NDArray[np.bool_]) -> list[int]:
+        return [int(count) for count in np.bincount(came.beam[chosen], minlength=len(came.numbers))]
+
+    return {
+        "samples": n_sample,
+        "samples_out_of_order": came.out_of_order,
+        "duplicates_dropped": came.duplicates,
+        "dropped": filtered.counts(),
+        "samples_used": int(np.count_nonzero(filtered.keep)),
+        "by_beam": {
+            "beam": came.numbers.tolist(),
+            "samples": by_beam(np.ones(len(came.beam), dtype=bool)),
+            **{name: by_beam(filtered.dropped_by(name)) for name, number in filtered.counts().items() if number},
+            "used": by_beam(filtered.keep),
+        },
+    }
+
+
+def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan) -> dict[str, Any]:
+    """Count records and beams by their flags; `numbers` are those of the beams."""
+    flag, start = records["flag"].values, records["time"].values
+    never = (records["count"].values == 0).all(axis=0)
+    empty = (flag & BEAM_FLAGS["no_samples"] > 0).all(axis=1)
+    flagged = (flag[~empty] & ~np.uint8(BEAM_FLAGS["record_excluded"])) != 0
+    rarely = (flagged.mean(axis=0) > _RARELY) & ~never
+    looks_ahead = -scan.level_direction[:, 0].mean() > _AHEAD
+    return {
+        "records": len(flag),
+        "records_without_samples": int(empty.sum()),
+        "beams_never_usable": numbers[never].tolist(),
+        "beams_rarely_usable": numbers[rarely].tolist(),
+        "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),
+        "record_flags": count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
+        "records_with_wind_from_behind": int(looks_ahead and (np.abs(records["yaw"].values) > 90.0).sum()),
+    }

@@ -1,0 +1,130 @@
+"""The options of records: what a record is, and when a beam of it can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from bayes_rs._validation import check_count, check_finite, check_positive
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.options import described, from_plain, option
+from bayes_rs.quality.samples import IntArray
+
+_DAY = 86_400_000_000_000  # ns
+_MOST_ENTRIES = 100_000_000
+
+
+@described
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
+    """How records are made of radial velocities.
+
+    Raises
+    ------
+    InputError
+        If a value is not valid.
+
+    Notes
+    -----
+    Records start on the clock, at whole multiples of the duration since 1970-01-01 00:00 UTC, so it must divide a day
+    or be whole days. A beam is flagged if it has fewer samples than either limit asks for. Motion is added to finished
+    records: `bayes_rs.wind.add_motion` reads it, and `make_records` refuses it.
+
+    Examples
+    --------
+    >>> RecordOptions(duration=1800.0).window
+    1800000000000
+    """
+
+    duration: float = option(600.0, "Averaging period", unit="s")
+    min_availability: float = option(
+        0.8, "Smallest share of the expected samples, 0 to 1, below which a beam is flagged"
+    )
+    expected_count: float | None = option(
+        None, "Samples of a beam in a full record; by default the duration over that of the scan", flag=""
+    )
+    min_count: int = option(
+        10, "Smallest number of samples below which a beam is flagged, whatever was expected", flag=""
+    )
+    motion: Sequence[str | Path] = option(
+        (), "Files with the lidar's own tilt and roll over time, for each record's own attitude", metavar="FILE"
+    )
+    motion_columns: Mapping[str, str] = option(
+        {},
+        "Headings of the columns of those files, as time=Timestamp or tilt_deg=Tilt",
+        flag="--motion-column",
+        metavar="OURS=THEIRS",
+    )
+
+    def __post_init__(self) -> None:
+        """Check the options, and bring them into one form."""
+
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        window = round(check_positive(self.duration, what="duration", unit="s") * 1e9)
+        if window == 0 or (_DAY % window and window % _DAY):
+            raise InputError(
+                f"Invalid duration {self.duration!r} s: it must divide a day (86400 s) or be whole days, "
+                "so that records start on the clock; 600 is usual."
+            )
+        put("duration", float(self.duration))
+        share = check_finite(self.min_availability, what="min_availability", unit="")
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"Invalid min_availability {self.min_availability!r}: it must be from 0 to 1.")
+        put("min_availability", share)
+        if self.expected_count is not None:
+            put("expected_count", check_positive(self.expected_count, what="expected_count", unit=""))
+        put("min_count", check_count(self.min_count, what="min_count"))
+        put("motion", (self.motion,) if isinstance(self.motion, (str, Path)) else tuple(self.motion))
+        if not isinstance(self.motion_columns, Mapping):
+            raise InputError(
+                f"Invalid motion_columns {self.motion_columns!r}: it must be a mapping, as {{'tilt_deg': 'Tilt'}}."
+            )
+        put("motion_columns", dict(self.motion_columns))
+        if self.motion_columns and not self.motion:
+            raise InputError("The option motion_columns is only used with motion: give the files, or leave it out.")
+
+    @property
+    def window(self) -> int:
+        """Length of a record, ns."""
+        return round(self.duration * 1e9)
+
+    def expected(self, scan: Scan) -> float:
+        """Return how many samples of a beam a full record holds."""
+        return self.duration / scan.scan_duration if self.expected_count is None else self.expected_count
+
+    def needed(self, scan: Scan) -> float:
+        """Return how many samples a beam needs, not to be flagged."""
+        return max(self.min_count, self.min_availability * self.expected(scan))
+
+
+def record_options(options: Mapping[str, Any]) -> RecordOptions:
+    """Return the options of records that are made of a series alone, checked.
+
+    Raises
+    ------
+    InputError
+        If one is not known, not valid, or about motion.
+    """
+    chosen = from_plain(RecordOptions, options, where="the options of records")
+    if chosen.motion:
+        raise InputError(
+            "The option motion is not used where records are made: give it and the records to bayes_rs.wind.add_motion."
+        )
+    return chosen
+
+
+def check_size(n_record: int, n_beam: int, time: IntArray, duration: float) -> None:
+    """Refuse more records than memory holds, as wrong times make them."""
+    if n_record * n_beam > _MOST_ENTRIES:
+        first, last = (pd.Timestamp(int(end)).isoformat() for end in (time.min(), time.max()))
+        raise InputError(
+            f"The series from {first} to {last} holds {n_record} records of {duration:g} s: more than {_MOST_ENTRIES} "
+            "entries with all beams; check its first and last times, or give a longer duration."
+        )

@@ -1,0 +1,9 @@
+from .mean_error import beam_mean_covariance as beam_mean_covariance
+from .mean_vector import mean_wind as mean_wind
+from .motion import add_motion as add_motion
+from .motion import read_motion as read_motion
+from .motion import remove_motion as remove_motion
+from .motion import with_motion as with_motion
+from .pairs import pair_stresses as pair_stresses
+from .pairs import reconstruct_pairs as reconstruct_pairs
+from .profile import wind_profile as wind_profile
