@@ -15,6 +15,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
+sys.path.insert(0, str(HERE))
 
 # what runs while the site is built: the notebooks in their short form, and nothing is written to the user's cache
 os.environ["BAYES_RS_SHORT"] = "1"
@@ -27,6 +28,8 @@ _kernel.parent.mkdir(parents=True, exist_ok=True)
 _command = [sys.executable, "-m", "ipykernel_launcher", "--log-level=ERROR", "-f", "{connection_file}"]
 _kernel.write_text(json.dumps({"argv": _command, "display_name": "Python 3", "language": "python"}), encoding="utf-8")
 os.environ["JUPYTER_PATH"] = str(_kernel.parents[2])
+
+from format_table import MARK, format_table  # noqa: E402 - it lies beside this file
 
 project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["name"]
 author = "The bayes_rs developers"
@@ -110,6 +113,12 @@ def mirror_siblings(*_: Any) -> None:
             shutil.copy2(file, target / file.name)
 
 
+def table_of_formats(_: Any, docname: str, source: list[str]) -> None:
+    """Put the table of file formats where its page has a mark for it."""
+    if docname == "formats":
+        source[0] = source[0].replace(MARK, format_table())
+
+
 def point_inside(_: Any, docname: str, source: list[str]) -> None:
     """Turn links between docs/ and the folders beside it, as they are on the disk, into links within the site."""
     if "/" not in docname:
@@ -149,5 +158,6 @@ def show_docstring(_: Any, what: str, name: str, obj: Any, options: Any, lines: 
 def setup(app: Any) -> None:
     """Connect what is above."""
     app.connect("config-inited", mirror_siblings)
+    app.connect("source-read", table_of_formats)
     app.connect("source-read", point_inside)
     app.connect("autodoc-process-docstring", show_docstring, priority=400)

@@ -8,8 +8,8 @@ from bayes_rs.noise.file import load_noise
 from bayes_rs.noise.noise import Noise
 
 
-def check_noise(noise, scan, folder):
-    """Check shapes, symmetry, positive semi-definiteness, selection, the scan it belongs to, and saving."""
+def check_arrays(noise, scan):
+    """Check shapes, symmetry and positive semi-definiteness."""
     n_state, n_beam = len(noise), scan.n_beam
     assert noise.n_state == n_state
     assert noise.bias.shape == (n_state, n_beam)
@@ -19,8 +19,7 @@ def check_noise(noise, scan, folder):
     assert noise.relative_error.shape == (n_state, n_beam)
     assert np.all(noise.relative_error > 0.0)
     assert np.all(np.abs(noise.correlation) <= 1.0 + 1e-12)
-    for name in ("wind_speed", "yaw", "length_scale", "gamma", "n_realizations"):
-        assert getattr(noise, name).shape == (n_state,)
+    assert all(len(getattr(noise, name)) == n_state for name in ("wind_speed", "yaw", "length_scale", "gamma"))
     assert (noise.length_scale[0], noise.gamma[0]) == (noise.turbulence.length_scale, noise.turbulence.gamma)
     for covariance in noise.covariance:
         size = np.abs(covariance).max()
@@ -30,7 +29,11 @@ def check_noise(noise, scan, folder):
         with pytest.raises(ValueError, match="read-only"):
             covariance[0, 0] = 1.0
 
-    states = [noise.state(index) for index in range(n_state)]
+
+def check_noise(noise, scan, folder):
+    """Check the arrays, the states, selection, the scan it belongs to, and saving."""
+    check_arrays(noise, scan)
+    states = [noise.state(index) for index in range(len(noise))]
     assert all(len(state) == 1 for state in states)
     assert Noise.join(states).to_dataset().identical(noise.to_dataset())
 

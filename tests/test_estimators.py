@@ -331,7 +331,7 @@ class TestStandardErrors:
         matrix = brs.geometry.design_matrix(scan.at_yaw(np.deg2rad(7.0)))[used]
         y = records["variance"].values[0, used]
         mean = matrix @ np.linalg.lstsq(matrix, y)[0]
-        inverse = np.linalg.inv(noise.covariance[0, np.ix_(used, used)] * np.outer(mean, mean))
+        inverse = np.linalg.inv(noise.covariance[0][np.ix_(used, used)] * np.outer(mean, mean))
         normal = matrix.T @ inverse @ matrix
         found = brs.estimate(records, scan, noise=noise, weights="noise")
         np.testing.assert_allclose(

@@ -1,5 +1,7 @@
 """Stresses with gradients: exact identities, one density for all likelihoods, calibration, an independent reference."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from other_likelihoods import OTHER_LIKELIHOODS
@@ -303,7 +305,7 @@ class TestLikelihood:
     def test_noise_that_was_reduced_beforehand_sees_gradients_too(self):
         scan = load_scan("50-beam")
         noise = plain_noise(scan)
-        bank = Noise.join(tuple(replace(noise, wind_speed=speed) for speed in (8.0, 12.0)))
+        bank = Noise.join(tuple(dataclasses.replace(noise, wind_speed=speed) for speed in (8.0, 12.0)))
         nuisances = Nuisances(vertical_gradient_sd=0.5, lateral_gradient_sd=0.3)
         variance = draw_variances(self.stress, scan, noise, np.random.default_rng(1))
         batch = Batch(variance, np.ones(variance.shape, dtype=bool), np.full(7, 10.0), np.zeros(7), np.arange(7))

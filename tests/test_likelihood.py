@@ -103,7 +103,7 @@ def test_a_beam_that_is_not_used_changes_nothing(stress):
     spoiled = variance.copy()
     spoiled[:, 2] = np.nan
     some = np.array([0, 1, 3, 4, 5])
-    smaller = build(scan.select(some), variance[:, some], covariance=noise.covariance[0, np.ix_(some, some)])
+    smaller = build(scan.select(some), variance[:, some], covariance=noise.covariance[0][np.ix_(some, some)])
     tensors = np.broadcast_to(stress, (7, 7, 6))
     np.testing.assert_allclose(
         build(scan, spoiled, used).log_density(tensors), smaller.log_density(tensors), rtol=1e-10

@@ -1,5 +1,6 @@
 """Noise and its files."""
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,9 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.models import models_folder
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.flow_states import REACH
 from bayes_rs.noise.noise import Noise
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -116,6 +119,21 @@ class TestEveryNoise:
 
 
 class TestShippedNumbers:
+    @pytest.mark.parametrize(
+        ("file", "name", "fingerprint"),
+        [
+            ("6-beam", "covariance", "45bec518c3fe1a27"),
+            ("6-beam", "standard_error", "aee3d598b09f1473"),
+            ("pulsed-4-beam-point", "covariance", "3b8d4c08a1f91485"),
+            ("6-beam-theory", "covariance", "d6694eccb213e8e7"),
+            ("zx-tm-theory", "bias", "4041fe32251214c8"),
+        ],
+    )
+    def test_arrays_are_those_of_version_0_1_0(self, file, name, fingerprint):
+        """Bit by bit: compared with what 0.1.0 read when the two classes for noise became one."""
+        values = getattr(load_noise(models_folder("noise") / f"{file}.nc"), name)
+        assert hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:16] == fingerprint
+
     def test_relative_error_of_the_along_wind_variance_is_about_a_quarter(self):
         noise = load_noise(models_folder("noise") / "staring.nc")
         spread = float(noise.relative_error[0, 0])
@@ -208,6 +226,37 @@ class TestBank:
     def test_no_model(self):
         with pytest.raises(InputError, match="There is no noise to join"):
             Noise.join(())
+
+
+class TestReach:
+    """How far from its states noise may be used: a step away, intervals are 5 % too narrow or too wide."""
+
+    def test_noise_of_16_metres_per_second_is_not_for_4(self):
+        scan = load_scan("6-beam")
+        noise, own = (theory_noise(scan, FLOW, wind_speed=speed) for speed in (16.0, 4.0))
+        used = noise.for_records([4.0, 15.0], 0.0)
+        assert used.outside.tolist() == [True, False]
+        assert np.all(own.relative_error[0] > 1.4 * np.sqrt(np.diagonal(used.covariance[0])))  # what it would hide
+
+    @pytest.mark.parametrize("name", ["6-beam", "6-beam@opening_angle_deg=45", "zx-tm"])
+    @pytest.mark.parametrize("axis", range(4))
+    def test_a_step_changes_the_width_of_an_interval_by_5_percent_at_most(self, name, axis):
+        scan = load_scan(name)
+        scan = scan.select(scan.beam[:: max(scan.n_beam // 6, 1)])
+        state = np.array([np.log(10.0), np.deg2rad(20.0), np.log(FLOW.length_scale), FLOW.gamma])
+        spread = []
+        for sign in (-1.0, 0.0, 1.0):
+            u, yaw, scale, gamma = state + sign * np.eye(4)[axis] * REACH[axis]
+            flow = replace(FLOW, length_scale=float(np.exp(scale)), gamma=float(gamma))
+            spread.append(theory_noise(scan, flow, wind_speed=float(np.exp(u)), yaw=float(yaw)).relative_error[0])
+        error = np.abs(np.stack(spread) / spread[1] - 1.0).max()
+        assert 0.02 < error < 0.055  # not needlessly careful, either
+
+    def test_distances_add_up(self):
+        noise = make_noise(load_scan("4-beam"))
+        step = 10.0 * np.exp(np.array([0.99, 0.5, 0.5]) * REACH[0])
+        assert noise.for_records(step, [0.0, 0.49 * REACH[1], 0.51 * REACH[1]]).outside.tolist() == [False, False, True]
+        assert noise.for_records([10.0], 2.0 * np.pi).outside.tolist() == [False]
 
 
 class TestNet:

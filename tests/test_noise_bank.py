@@ -330,7 +330,11 @@ class TestFit:
     def test_records_with_a_turbulence_of_their_own(self):
         scan = load_scan("staring")
         models = [
-            replace(theory_noise(scan, FLOW, wind_speed=9.0), turbulence=replace(FLOW, length_scale=scale))
+            replace(
+                theory_noise(scan, FLOW, wind_speed=9.0),
+                turbulence=replace(FLOW, length_scale=scale),
+                length_scale=scale,
+            )
             for scale in (30.0, 120.0)
         ]
         models[1] = replace(models[1], covariance=4.0 * models[0].covariance)

@@ -365,7 +365,11 @@ class TestTurbulenceOfRecords:
         plain = fit(records, scan, **options)["posterior/stress"].values
         for name, own, words in (
             ("length_scale", [61.0, 61.2, 70.0], r"Record 2 has a length_scale .*, 70 m, .* only 61 m: .*drop_vars"),
-            ("gamma", [2.0, 3.2, 3.2], r"Record 0 has a gamma of its own, 2, .* only 3.2: .*theory_bank\(..., gamma="),
+            (
+                "gamma",
+                [2.0, 3.2, 3.2],
+                r"Record 0 has a gamma of its own, 2, .* only 3.2: .*noise.calibrate\(scan, records",
+            ),
         ):
             with pytest.raises(InputError, match=words):
                 fit(records.assign({name: ("record", own)}), scan, **options)

@@ -252,7 +252,7 @@ class TestEveryLikelihood:
         spoiled = variance.copy()
         spoiled[:, 2] = np.nan
         some = np.array([0, 1, 3, 4, 5])
-        smaller = build(name, scan.select(some), variance[:, some], covariance=noise.covariance[0, np.ix_(some, some)])
+        smaller = build(name, scan.select(some), variance[:, some], covariance=noise.covariance[0][np.ix_(some, some)])
         extra = np.full((7, 7), 0.02)
         np.testing.assert_allclose(
             build(name, scan, spoiled, used).log_density(at_all(stress), extra),

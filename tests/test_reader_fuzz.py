@@ -307,6 +307,7 @@ class TestNetcdfCheck:
 
 def _main(kind: str, first: int, last: int) -> None:
     damage = mutate_in_place if kind in ("heap", "old") else mutate
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
     with tempfile.TemporaryDirectory() as folder:
         file = COMPILED[kind](Path(folder))
         raw = file.read_bytes()
@@ -316,7 +317,7 @@ def _main(kind: str, first: int, last: int) -> None:
             file.write_bytes(damage(raw, seed))
             used = resource.getrusage(resource.RUSAGE_SELF)
             limit = used.ru_utime + used.ru_stime + CPU_SECONDS_PER_FILE
-            resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))
+            resource.setrlimit(resource.RLIMIT_CPU, (int(limit), most))
             check(file)
             sys.stdout.write(f"{kind}:{seed}\n")
             sys.stdout.flush()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
 import re
@@ -16,7 +17,8 @@ from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import READERS, read, stream
+from bayes_rs.readers import READERS, FileOptions, read, stream
+from bayes_rs.readers.format import resolve_format
 from bayes_rs.records.making import make_records
 
 LAST_DIGIT = 4 * np.finfo(float).eps  # decimal text to binary: pandas may be off by a unit in the last place
@@ -487,8 +489,14 @@ class TestBadInput:
             read(long_csv(tmp_path, *ROWS), SCAN, **options)
 
 
-def test_the_formats():
-    assert list(READERS) == ["halo", "zx", "spinnerlidar", "long", "wide", "windcube", "e-windlidar", "netcdf"]
+def test_special_formats_are_tried_before_general_ones(tmp_path):
+    """Of the formats with one suffix, only the last may take every file: those behind it would never be asked."""
+    nothing = write(tmp_path, "nothing\n", "nothing.dat")
+    for suffix in {suffix for reader in READERS.values() for suffix in reader.suffixes}:
+        *special, _ = [reader for reader in READERS.values() if suffix in reader.suffixes]
+        for reader in special:
+            with contextlib.suppress(InputError):
+                assert not reader.recognises(nothing, SCAN, resolve_format(FileOptions(), SCAN))
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,4 +1,4 @@
-"""Records of many files that are kept: what is damaged is read again, what is whole is not, and numbers are the same."""
+"""Records of many files that are kept: what is damaged is read again, what is whole is not, numbers are the same."""
 
 import itertools
 import logging

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin
 import click
 from click.shell_completion import CompletionItem
 
-from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, Settings
+from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -171,8 +171,8 @@ def settings_of(files: Sequence[str], options: Mapping[str, Any]) -> Settings:
     given = {name: value for name, value in options.items() if value is not None and value != ()}
     if len(files) == 1 and Path(files[0]).suffix in (".toml", RUN_SUFFIX):
         settings = Settings.load(files[0])
-        if "scan" in given:
-            given["scan_toml"] = None
+        if any(entry.name in given for entry in options_of(ScanOptions)):
+            given["scan_toml"] = None  # what the command line says of the scan counts
     else:
         settings = Settings().changed(files=tuple(files))
     return settings.changed(**given)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,9 @@ class ScanOptions:
         None, "Another tilt; positive raises the beams that point upwind", unit="degrees", flag="--tilt"
     )
     yaw_deg: float | None = option(None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw")
-    scan_toml: str | None = option(None, "The text of a scan file, in place of its name", flag="")
+    scan_toml: str | None = option(
+        None, "The text of the scan's file: it counts where the name does not mean the same scan", flag=""
+    )
 
     def load(self) -> Scan:
         """Return the scan.
@@ -70,7 +73,12 @@ class ScanOptions:
             if self.scan is None:
                 raise InputError("No scan is given: name one with scan (--scan), such as zx-tm or a TOML file.")
             return load_scan(self.scan, **mounted)
-        return load_scan_text(self.scan_toml, name=self.scan or "scan", **mounted)
+        kept = load_scan_text(self.scan_toml, name=self.scan or "scan")
+        if self.scan is not None:
+            with suppress(InputError):  # the name need not mean anything here
+                named = load_scan(self.scan, **mounted)
+                return named if named.key == kept.key else kept
+        return kept
 
 
 @described
@@ -327,7 +335,7 @@ def _of_run(file: Path) -> dict[str, Any]:
             f"The run of {str(file)!r} had a prior that is an object of Python ({run.get('prior')}), so it cannot be "
             "repeated from its file: fit again in Python."
         )
-    plain["scan"] = {"scan": run["scan"], "scan_toml": run["scan_toml"]}
+    plain["scan"] = {"scan": run["scan"], **plain.get("scan", {}), "scan_toml": run["scan_toml"]}
     plain.setdefault("files", {}).setdefault("files", [])
     if not plain["files"]["files"]:
         plain["files"]["files"] = ["records.nc"]

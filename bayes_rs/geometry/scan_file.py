@@ -89,7 +89,9 @@ class _Beam(Table):
     def direction(self) -> FloatArray:
         if self.vector is not None:
             vector = np.asarray(self.vector, dtype=np.float64)
-            return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)
+            length = np.linalg.norm(vector)
+            # what is of unit length up to rounding stays bit by bit, so that a scan comes back as it was written
+            return vector if abs(length - 1.0) <= 4.0 * np.finfo(np.float64).eps else np.asarray(vector / length)
         if self.opening_angle_deg is not None and self.phase_deg is not None:
             return cone_direction(np.deg2rad(self.opening_angle_deg), np.deg2rad(self.phase_deg))
         if self.sideways_deg is not None and self.upwards_deg is not None:

@@ -214,7 +214,7 @@ class Noise:
         own = tuple(_plain(one, where) for one in self.state_details)
         if len(own) not in (0, n_state):
             raise InputError(
-                f"Invalid state_details in {where}: {len(own)} for {n_state} states; one for each, or none."
+                f"Invalid state_details in {where}: {len(own)} for {n_state} states; give one for each, or none."
             )
         object.__setattr__(self, "details", _plain(self.details, where))
         object.__setattr__(self, "state_details", own if any(own) else ())
@@ -455,13 +455,9 @@ class Noise:
             If the states form no net.
         """
         self.states.check_net()
-        plane = sorted(
-            {
-                (float(u), float(yaw)): index
-                for index, (u, yaw) in enumerate(zip(self.wind_speed, self.yaw, strict=True))
-            }.items()
-        )
-        some = self._some_states([index for _, index in plane])
+        winds = zip(self.wind_speed.tolist(), self.yaw.tolist(), strict=True)
+        plane = {wind: index for index, wind in enumerate(winds)}
+        some = self._some_states([plane[wind] for wind in sorted(plane)])
         noise = self.for_records(some.wind_speed, some.yaw, length_scale=length_scale, gamma=gamma)
         sonic = None
         if self.has_sonic:

@@ -2,7 +2,7 @@
 
 Every prior is a smooth map from unbounded coordinates to a realizable tensor, and a proper density of them.
 So no draw and no proposal of the sampler can leave the realizable tensors, there is no edge to run into, and a prior is
-one short class; see `bayes_rs.priors`.
+one short class; see `bayes_rs.priors.interface`.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def make_prior(prior: str | Prior) -> Prior:
     Parameters
     ----------
     prior : str or Prior
-        A name, ``"weak"``, ``"flat"``, ``"ratio"`` or ``"mann"``; a name with parameters, such as
-        ``"weak:log_sd_vv=1"`` or ``"ratio:vv=0.6,sd_vv=0.3"``; or a prior, such as ``WeakPrior(log_sd_vv=1.0)``.
+        A name in ``PRIORS``, as ``"weak"``; a name with parameters, such as ``"weak:log_sd_vv=1"`` or
+        ``"ratio:vv=0.6,sd_vv=0.3"``; or a prior, such as ``WeakPrior(log_sd_vv=1.0)``.
 
     Returns
     -------

@@ -97,36 +97,9 @@ def rays_from(
     InputError
         If a variable is missing, has other dimensions or another unit, or holds something else than numbers.
     """
-    for name in ("radial_velocity", "time", "azimuth", "elevation", "distance"):
-        if names[name] not in dataset.variables:
-            found = ", ".join(repr(str(variable)) for variable in dataset.variables)
-            raise InputError(
-                f"File {str(file)!r} has no variable {names[name]!r} for the {name.replace('_', ' ')} of its rays: its "
-                f"variables are {found}; say what the file calls it with the option columns={{{name!r}: 'name in the "
-                "file'}, or give another file_format."
-            )
-    velocity = dataset.variables[names["radial_velocity"]]
-    ray_dims = dataset.variables[names["time"]].dims
-    gate_dims = [dim for dim in velocity.dims if dim not in ray_dims]
-    if not ray_dims or not set(ray_dims) <= set(velocity.dims) or len(gate_dims) > 1:
-        raise InputError(
-            f"Variable {names['radial_velocity']!r} in file {str(file)!r} has the dimensions {velocity.dims}: it must "
-            f"have those of the time, {ray_dims}, and at most one more, the gates."
-        )
-    size = {dim: dataset.sizes[dim] for dim in (*ray_dims, *gate_dims)}
+    size, ray_dims = _layout(dataset, file, names)
     n_ray = int(np.prod([size[dim] for dim in ray_dims]))
-    n_gate = size[gate_dims[0]] if gate_dims else 1
-    spread = {}
-    invalid = np.zeros(n_ray, dtype=bool)
-    for name in ("radial_velocity", "azimuth", "elevation", "distance", "cnr", "status"):
-        if names.get(name) in dataset.variables:
-            per_ray = name in ("azimuth", "elevation")
-            dims = {dim: size[dim] for dim in ray_dims} if per_ray else size
-            values = _numbers(dataset.variables[names[name]], name, names[name], file, dims)
-            values = values.reshape(n_ray) if per_ray else values.reshape(n_ray, n_gate)
-            is_invalid = file_format.is_invalid(values)
-            invalid |= is_invalid if per_ray else is_invalid.any(axis=1)
-            spread[name] = np.where(is_invalid | ~np.isfinite(values), np.nan, values)
+    spread, invalid = _values(dataset, file, file_format, names, size, ray_dims)
     for name in ("azimuth", "elevation"):
         far = np.abs(spread[name]) > _ANGLE_LIMIT
         if far.any():
@@ -153,13 +126,61 @@ def rays_from(
         row_word="ray",
         counts={
             "rows": n_ray,
-            "rows_invalid_value": int(invalid.sum()),
+            "rows_invalid_value": invalid,
             "rows_dropped": 0,
             "rows_without_time": 0,
             "rows_without_beam": 0,
         },
         accumulation_time=duration,
     )
+
+
+def _layout(
+    dataset: xr.Dataset, file: Path, names: Mapping[str, str]
+) -> tuple[dict[Hashable, int], tuple[Hashable, ...]]:
+    """Return the sizes of the dimensions of rays and gates, in this order, and which dimensions are those of rays."""
+    for name in ("radial_velocity", "time", "azimuth", "elevation", "distance"):
+        if names[name] not in dataset.variables:
+            found = ", ".join(repr(str(variable)) for variable in dataset.variables)
+            raise InputError(
+                f"File {str(file)!r} has no variable {names[name]!r} for the {name.replace('_', ' ')} of its rays: its "
+                f"variables are {found}; say what the file calls it with the option columns={{{name!r}: 'name in the "
+                "file'}, or give another file_format."
+            )
+    velocity = dataset.variables[names["radial_velocity"]]
+    ray_dims = dataset.variables[names["time"]].dims
+    gate_dims = [dim for dim in velocity.dims if dim not in ray_dims]
+    if not ray_dims or not set(ray_dims) <= set(velocity.dims) or len(gate_dims) > 1:
+        raise InputError(
+            f"Variable {names['radial_velocity']!r} in file {str(file)!r} has the dimensions {velocity.dims}: it must "
+            f"have those of the time, {ray_dims}, and at most one more, the gates."
+        )
+    return {dim: dataset.sizes[dim] for dim in (*ray_dims, *gate_dims)}, ray_dims
+
+
+def _values(
+    dataset: xr.Dataset,
+    file: Path,
+    file_format: FileFormat,
+    names: Mapping[str, str],
+    size: Mapping[Hashable, int],
+    ray_dims: tuple[Hashable, ...],
+) -> tuple[dict[str, FloatArray], int]:
+    """Return the variables by ray, and by gate where they have gates; and how many rays hold an invalid value."""
+    n_ray = int(np.prod([size[dim] for dim in ray_dims]))
+    n_gate = int(np.prod([size[dim] for dim in size if dim not in ray_dims]))
+    spread = {}
+    invalid = np.zeros(n_ray, dtype=bool)
+    for name in ("radial_velocity", "azimuth", "elevation", "distance", "cnr", "status"):
+        if names.get(name) in dataset.variables:
+            per_ray = name in ("azimuth", "elevation")
+            dims = {dim: size[dim] for dim in ray_dims} if per_ray else size
+            values = _numbers(dataset.variables[names[name]], name, names[name], file, dims)
+            values = values.reshape(n_ray) if per_ray else values.reshape(n_ray, n_gate)
+            is_invalid = file_format.is_invalid(values)
+            invalid |= is_invalid if per_ray else is_invalid.any(axis=1)
+            spread[name] = np.where(is_invalid | ~np.isfinite(values), np.nan, values)
+    return spread, int(invalid.sum())
 
 
 def join_rays(parts: Sequence[Rays]) -> Rays:

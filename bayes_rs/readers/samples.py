@@ -110,7 +110,6 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     InputError
         If files differ in their columns, or one beam has two velocities at one time.
     """
-    of_files = report or FilesReport()
     status_valid = _one_status(parts)
     backwards = [count_backwards(part) if part.out_of_order is None else part.out_of_order for part in parts]
     time = np.concatenate([part.time for part in parts])
@@ -140,7 +139,6 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     for name, values in optional.items():
         if values is not None:
             variables[name] = ("sample", values[order][keep], attributes[name])
-    present = np.unique(beam)
     counted = {
         **{key: sum(part.counts.get(key, 0) for part in parts) for key in parts[0].counts},
         "samples": int(keep.sum()),
@@ -148,6 +146,26 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
         "samples_out_of_order": sum(backwards),
         "duplicates_dropped": int(repeated.sum()),
         "duplicates_that_differ": int(differs.sum()),
+        **_about_files(parts, scan, backwards, np.unique(beam), report or FilesReport()),
+    }
+    series = xr.Dataset(
+        variables,
+        coords={"time": ("sample", time[keep]), "beam": ("sample", beam[keep])},
+        attrs={
+            "scan": scan.name,
+            "scan_key": scan.key,
+            "source_files": json.dumps([part.file.name for part in parts]),
+            "read_report": json.dumps(counted),
+        },
+    )
+    return series if status_valid is None else series.assign_attrs(status_valid=status_valid)
+
+
+def _about_files(
+    parts: Sequence[Samples], scan: Scan, backwards: Sequence[int], present: NDArray[np.int64], of_files: FilesReport
+) -> dict[str, Any]:
+    """Say in the report which beams occur, how each file was read, and which files were not."""
+    return {
         "beams_present": present.tolist(),
         "beams_absent": [number for number in scan.beam.tolist() if number not in present],
         "out_of_order": parts[0].file_format.out_of_order,
@@ -164,19 +182,6 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
         "files_skipped": [dict(entry) for entry in of_files.skipped],
         "files_passed_over": dict(of_files.passed_over),
     }
-    series = xr.Dataset(
-        variables,
-        coords={"time": ("sample", time[keep]), "beam": ("sample", beam[keep])},
-        attrs={
-            "scan": scan.name,
-            "scan_key": scan.key,
-            "source_files": json.dumps([part.file.name for part in parts]),
-            "read_report": json.dumps(counted),
-        },
-    )
-    if status_valid is not None:
-        series.attrs["status_valid"] = status_valid
-    return series
 
 
 def _options_used(file_format: FileFormat) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,12 @@ from bayes_rs._validation import (
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import pack_stress
 from bayes_rs.progress import progress
 from bayes_rs.simulation.boxes import Box, BoxGrid, BoxMaker, choose_grid, generator_name
 from bayes_rs.simulation.lines import LineMaker
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 FIRST_RECORD = np.datetime64("2000-01-01T00:00:00", "ns")
 """When the first simulated record starts, UTC."""
@@ -47,7 +49,7 @@ class RecordState:
 
     Parameters
     ----------
-    scan : Scan
+    scan : Scan, str or Path
         The scan.
     wind_speed : float
         Mean wind speed U, m/s.
@@ -371,8 +373,8 @@ def grid_for(states: list[RecordState], turbulence: MannTurbulence) -> BoxGrid:
 
 
 def simulate(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path,
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -385,9 +387,9 @@ def simulate(
 
     Parameters
     ----------
-    scan : Scan
+    scan : Scan, str or Path
         The scan, with its own yaw.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         The turbulence.
     wind_speed : float
         Mean wind speed U, m/s.
@@ -445,6 +447,7 @@ def simulate(
     >>> series.sizes["sample"]
     240
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_choice(method, tuple(SIMULATORS), what="method of simulation")
     count = check_count(n_records, what="n_records")
     gradient = check_finite(shear, what="shear", unit="1/s")

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.lag_window import lag_windows
 from bayes_rs.spectra.radial_spectrum import check_spectra
 
 
-def along_wind_spectra(spectra: xr.Dataset, scan: Scan, fit: xr.Dataset) -> xr.Dataset:
+def along_wind_spectra(spectra: xr.Dataset, scan: Scan | str | Path, fit: xr.Dataset) -> xr.Dataset:
     r"""Return the spectrum of u that a point in each record's flow would show, from its beams and the fitted model.
 
     Parameters
     ----------
     spectra : xarray.Dataset
         From `radial_spectra`.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them, with its probe volume.
     fit : xarray.Dataset
         From `fit_spectra` of them, with ``beams="together"``.
@@ -57,6 +60,7 @@ def along_wind_spectra(spectra: xr.Dataset, scan: Scan, fit: xr.Dataset) -> xr.D
     >>> bool(np.allclose(along["spectrum"], spectra["spectrum"][:, 0]))
     True
     """
+    scan = as_scan(scan)
     check_spectra(spectra)
     used = scan.select(spectra["beam"].values)
     if "length_scale" not in fit or fit["length_scale"].dims != ("record",):

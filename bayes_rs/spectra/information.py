@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from scipy.linalg import toeplitz
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.lag_window import fourier_rows, lag_windows, ordinates
 from bayes_rs.theory.probed import probed_covariance
@@ -16,7 +19,7 @@ _STEP = 0.05  # of ln L, for the derivative by differences
 
 
 def information_ratio(
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
     wind_speed: float,
     yaw: float,
@@ -66,6 +69,7 @@ def information_ratio(
     ----------
     Varin, Reid and Firth (2011), Statistica Sinica 21, 5–42.
     """
+    scan = as_scan(scan)
     present = np.ones(n_slot, dtype=np.bool_)
     rows, windows = fourier_rows(present, tapers), lag_windows(present, interval, tapers)
     n_taper, n_frequency = rows.shape[:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from bayes_rs._validation import FloatArray, check_choice, check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.progress import progress
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.information import information_ratio
@@ -33,7 +35,7 @@ _UNLIKELY = -700.0  # log-density below the maximum at which a node has no weigh
 
 def fit_spectra(
     spectra: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
     gamma: ArrayLike = 3.2,
     length_scale_prior: tuple[float, float] = (60.0, 0.8),
@@ -49,7 +51,7 @@ def fit_spectra(
     ----------
     spectra : xarray.Dataset
         From `radial_spectra`.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them, with its probe volume.
     gamma : float or array_like, shape (n_gamma,)
         Anisotropy parameter Γ; if several, they are equally likely a priori, and Γ is averaged over.
@@ -115,6 +117,7 @@ def fit_spectra(
     >>> bool(45.0 < pooled["length_scale"][0] < 80.0), bool(pooled["length_scale_log_sd"][0] < 0.15)
     (True, True)
     """
+    scan = as_scan(scan)
     check_spectra(spectra)
     used = scan.select(spectra["beam"].values)
     check_choice(beams, BEAMS, what="beams")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import xarray as xr
 from scipy import stats
@@ -9,11 +11,12 @@ from scipy import stats
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.mann_fit import fit_spectra
 from bayes_rs.spectra.radial_spectrum import check_spectra
 from bayes_rs.spectra.structure_noise import intercept_weights, structure_covariance, structure_function
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 NOISE_METHODS = ("structure", "spectrum")
 """Ways to tell the instrument's noise from the turbulence."""
@@ -29,8 +32,8 @@ _LEAST_PAIRS = 5
 
 def estimate_instrument_noise(
     spectra: xr.Dataset,
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path,
     *,
     method: str = "structure",
     n_lag: int = 4,
@@ -42,9 +45,9 @@ def estimate_instrument_noise(
     ----------
     spectra : xarray.Dataset
         From `radial_spectra`. Its ``length_scale`` (record), if it holds one, replaces that of `turbulence`.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them, with its probe volume.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         What the flow is taken to be; its dissipation has no influence.
     method : str
         ``"structure"``: structure functions at short lags, continued to lag zero. ``"spectrum"``: the floor of the
@@ -96,6 +99,7 @@ def estimate_instrument_noise(
     >>> float(found["instrument_noise"].mean().round(2))  # 0.09 was added
     0.09
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_spectra(spectra)
     used = scan.select(spectra["beam"].values)
     check_choice(method, NOISE_METHODS, what="method of the instrument's noise")

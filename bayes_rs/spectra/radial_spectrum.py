@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import xarray as xr
 from scipy import stats
@@ -9,13 +11,14 @@ from scipy import stats
 from bayes_rs._validation import FloatArray, check_count, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.spectra.beam_samples import beam_samples
 from bayes_rs.spectra.lag_window import ordinate_correlation, ordinates, taper_weights
 
 _MOST_TAPERS = 20
 
 
-def radial_spectra(series: xr.Dataset, scan: Scan, records: xr.Dataset, *, tapers: int = 0) -> xr.Dataset:
+def radial_spectra(series: xr.Dataset, scan: Scan | str | Path, records: xr.Dataset, *, tapers: int = 0) -> xr.Dataset:
     r"""Return the power spectral density of the radial velocity of every record and beam.
 
     Parameters
@@ -65,6 +68,7 @@ def radial_spectra(series: xr.Dataset, scan: Scan, records: xr.Dataset, *, taper
     >>> bool(np.allclose(total, records["variance"]))
     True
     """
+    scan = as_scan(scan)
     check_count(tapers, what="tapers", minimum=0)
     if tapers > _MOST_TAPERS:
         raise InputError(f"Invalid tapers {tapers}: at most {_MOST_TAPERS} are of use; 0 is the plain periodogram.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.theory.pairs import distinct_pairs
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.interpolation import find_net
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 SCALES = ("record", "turbulence")
 """How large the turbulence is taken to be: as a record's own variances say, or as the turbulence says."""
@@ -34,8 +36,8 @@ class _Moments(NamedTuple):
 
 
 def beam_mean_covariance(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path,
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -46,9 +48,9 @@ def beam_mean_covariance(
 
     Parameters
     ----------
-    scan : Scan
+    scan : Scan, str or Path
         The scan, with its timing and probe volume.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         The turbulence; the covariance is proportional to its dissipation.
     wind_speed : float
         Mean wind speed U, m/s.
@@ -98,6 +100,7 @@ def beam_mean_covariance(
     >>> float(np.sqrt(covariance[0, 0]).round(2))
     0.41
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
     yaw = scan.yaw if yaw_deg is None else np.deg2rad(check_finite(yaw_deg, what="yaw_deg", unit="°"))
@@ -118,9 +121,9 @@ def record_mean_covariance(
     ----------
     records : xarray.Dataset
         From `make_records`.
-    scan : Scan
+    scan : Scan, str or Path
         The scan, with the records' beams only.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         The turbulence.
     scale : {"record", "turbulence"}
         ``"record"``: the turbulence's dissipation is scaled so that the mean of the expected variances of the used

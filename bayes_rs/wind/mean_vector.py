@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -10,9 +12,10 @@ from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
 
 AXES = ("x", "y", "z")
@@ -21,9 +24,9 @@ AXES = ("x", "y", "z")
 
 def mean_wind(
     records: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
-    turbulence: MannTurbulence | None = None,
+    turbulence: MannTurbulence | str | Path | None = None,
     scale: str = "record",
     vertical: bool = False,
     weights: ArrayLike | None = None,
@@ -35,9 +38,9 @@ def mean_wind(
     ----------
     records : xarray.Dataset
         From `make_records`; with `with_motion`, each record's own tilt and roll count.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them.
-    turbulence : MannTurbulence, optional
+    turbulence : MannTurbulence, str or Path, optional
         The turbulence that makes the means uncertain; without it no standard deviations are given.
     scale : {"record", "turbulence"}
         Whether the size of the turbulence is that of each record's own variances, or that of `turbulence`.
@@ -91,6 +94,8 @@ def mean_wind(
     >>> wind["wind_speed_sd"].values.round(1), wind["yaw_sd"].values.round(1)
     (array([0.4, 0.4]), array([2.4, 2.2]))
     """
+    scan = as_scan(scan)
+    turbulence = None if turbulence is None else as_turbulence(turbulence)
     scan = check_records(records, scan)
     weight = None if weights is None else _checked_weights(weights, scan.n_beam)
     direction = record_direction(records, scan)

@@ -16,6 +16,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.attitude import level_direction, roll_matrix
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import open_table
@@ -172,7 +173,7 @@ def add_motion(records: xr.Dataset, scan: Scan, options: RecordOptions, files: F
     return with_motion(records, motion, scan)
 
 
-def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Dataset:
+def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
     """Give each record its own mean tilt and roll, and the mean wind that its beams then see.
 
     Parameters
@@ -181,7 +182,7 @@ def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Datas
         From `make_records`.
     motion : xarray.Dataset
         Over ``time`` (UTC): ``tilt_deg`` or ``roll_deg`` or both, degrees, and ``heading_deg`` if there.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured the records.
 
     Returns
@@ -218,6 +219,7 @@ def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Datas
     >>> with_motion(records, motion, scan)["tilt"].values.round(2)
     array([0.5, 1.5])
     """
+    scan = as_scan(scan)
     time = _motion_times(motion)
     if "tilt_deg" not in motion and "roll_deg" not in motion:
         raise InputError("The motion has neither tilt_deg nor roll_deg: give one of them, degrees.")
@@ -267,7 +269,7 @@ class _Part(NamedTuple):
 def remove_motion(
     series: xr.Dataset,
     motion: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
     duration: float = 600.0,
     shear: float = 0.0,
@@ -283,7 +285,7 @@ def remove_motion(
         Over ``time`` (UTC), any of: ``velocity_x``, ``velocity_y``, ``velocity_z``, the velocity of the lidar in its
         levelled frame, m/s (x against its view, y to the right of one who looks out, z up); ``tilt_deg``, ``roll_deg``,
         ``heading_deg``, degrees, as in `with_motion`.
-    scan : Scan
+    scan : Scan, str or Path
         The scan of the series.
     duration : float
         Length of a record, s: attitude counts as its deviation from the record's mean.
@@ -336,6 +338,7 @@ def remove_motion(
     >>> bool(np.allclose(still["radial_velocity"], series["radial_velocity"]))
     True
     """
+    scan = as_scan(scan)
     time = _motion_times(motion)
     check_positive(max_gap, what="max_gap", unit="s")
     gradient = check_finite(shear, what="shear", unit="1/s")

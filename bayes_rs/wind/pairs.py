@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan, yaw_matrix
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.theory.probed import probed_covariance
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 PLANES: dict[str, tuple[int, int]] = {"horizontal": (0, 1), "vertical": (0, 2)}
 """Planes of pairs, and the axes of the levelled lidar frame whose components they give."""
@@ -36,7 +38,7 @@ class Pair(NamedTuple):
 
 def reconstruct_pairs(
     series: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
     plane: str = "horizontal",
     pairs: Sequence[tuple[int, int]] | None = None,
@@ -48,7 +50,7 @@ def reconstruct_pairs(
     ----------
     series : xarray.Dataset
         Radial velocities, as `read` returns them.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them.
     plane : {"horizontal", "vertical"}
         ``"horizontal"``: pairs side by side give u and v; ``"vertical"``: pairs one above the other give u and w.
@@ -108,6 +110,7 @@ def reconstruct_pairs(
     >>> wind.sizes["sample"], bool(abs(wind["u"].mean() - 10.0) < 1.0)
     (600, True)
     """
+    scan = as_scan(scan)
     chosen = _pairs(scan, plane, pairs)
     longest = (
         _TOLERANCE * scan.scan_duration if tolerance is None else check_positive(tolerance, what="tolerance", unit="s")
@@ -148,8 +151,8 @@ def reconstruct_pairs(
 
 
 def pair_stresses(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path,
     *,
     wind_speed: float,
     plane: str = "horizontal",
@@ -161,9 +164,9 @@ def pair_stresses(
 
     Parameters
     ----------
-    scan : Scan
+    scan : Scan, str or Path
         The scan, with its probe volume.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         The turbulence.
     wind_speed : float
         Mean wind speed, m/s.
@@ -199,6 +202,7 @@ def pair_stresses(
     >>> (found["measured"] / found["true"]).sel(stress=["uu", "vv"]).values.round(2)
     array([[0.74, 7.13]])
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     yaw = scan.yaw if yaw_deg is None else np.deg2rad(check_finite(yaw_deg, what="yaw_deg", unit="°"))
     chosen = _pairs(scan, plane, pairs)

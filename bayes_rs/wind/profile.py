@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,9 @@ from bayes_rs._validation import FloatArray, check_choice, check_non_negative, c
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.records.least_squares import RANK_TOLERANCE, horizontal_wind
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
 
 VON_KARMAN = 0.4
@@ -55,9 +57,9 @@ LAWS: dict[str, _Law] = {
 
 def wind_profile(
     records: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
-    turbulence: MannTurbulence,
+    turbulence: MannTurbulence | str | Path,
     hub_height: float,
     law: str = "power",
     veer: bool = False,
@@ -71,9 +73,9 @@ def wind_profile(
     ----------
     records : xarray.Dataset
         From `make_records`; with `with_motion`, each record's own tilt and roll count.
-    scan : Scan
+    scan : Scan, str or Path
         The scan that measured them.
-    turbulence : MannTurbulence
+    turbulence : MannTurbulence, str or Path
         The turbulence that makes the means uncertain; see `beam_mean_covariance`.
     hub_height : float
         Height of the lidar above the ground, m.
@@ -135,6 +137,7 @@ def wind_profile(
     >>> profile["shear"].values.round(3), profile["shear_sd"].values.round(3)
     (array([0.021]), array([0.003]))
     """
+    scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     chosen = LAWS[check_choice(law, tuple(LAWS), what="law of the profile")]
     hub = check_positive(hub_height, what="hub_height", unit="m")
     reference = hub if reference_height is None else check_positive(reference_height, what="reference_height", unit="m")

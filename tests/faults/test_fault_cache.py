@@ -182,7 +182,10 @@ def _make_many(cache, queue):
             try:
                 load_noise(file)  # whole at any moment
             except InputError as error:  # unless another process has taken it away
-                if not isinstance(error.__cause__, FileNotFoundError):
+                cause: BaseException = error
+                while cause.__cause__ is not None:
+                    cause = cause.__cause__
+                if not isinstance(cause, FileNotFoundError):
                     raise
             file.unlink(missing_ok=True)
     queue.put(found)

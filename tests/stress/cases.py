@@ -225,7 +225,7 @@ def noise_of_random_scenes(rng: np.random.Generator) -> None:
     # each scene may be lifted to the nearest semi-definite matrix, by the error that it promises at most
     lifted = 64.0 * EPS * size + 2.0 * max(noise.details["negative_part"], mixed.details["negative_part"]) * values[-1]
     np.testing.assert_allclose(
-        mixed.covariance[0], noise.covariance[0, np.ix_(order, order)], rtol=1e-9, atol=1e-9 * size + lifted
+        mixed.covariance[0], noise.covariance[0][np.ix_(order, order)], rtol=1e-9, atol=1e-9 * size + lifted
     )
     stronger = theory_noise(scan, replace(flow, dissipation=flow.dissipation * 10.0 ** rng.uniform(-6, 6)), **options)
     # a record that is short beside the eddies keeps a small part of their variance, and rounding is large beside it

@@ -127,7 +127,7 @@ def test_a_beam_twice_with_the_same_data_changes_nothing():
         beam=np.append(single.beam, 99),
     )
     noise = plain_noise(single)
-    twice = given_noise(doubled, noise.covariance[0, np.ix_(index, index)])
+    twice = given_noise(doubled, noise.covariance[0][np.ix_(index, index)])
     variance = draw_variances(WeakPrior().draw(2, 4), single, noise, np.random.default_rng(4))
     _, plain = fitted(records_of(variance, single), single, noise, target_ess=2000)
     _, again = fitted(records_of(variance[:, index], doubled), doubled, twice, target_ess=2000)
