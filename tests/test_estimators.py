@@ -463,5 +463,7 @@ class TestMeasuredHour:
                 wanted = np.linalg.solve(brs.geometry.design_matrix(scan), variance)
                 np.testing.assert_allclose(found["stress"].values[k], wanted, atol=1e-10)  # rounding × condition, 51
                 bad += np.linalg.eigvalsh(brs.geometry.unpack_stress(wanted))[0] < 0.0
-                assert bool(found["realizable"][k]) == (np.linalg.eigvalsh(brs.geometry.unpack_stress(wanted))[0] >= 0.0)
+                assert bool(found["realizable"][k]) == (
+                    np.linalg.eigvalsh(brs.geometry.unpack_stress(wanted))[0] >= 0.0
+                )
         assert bad == 21

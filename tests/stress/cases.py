@@ -18,6 +18,7 @@ import bayes_rs as brs
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.posteriors import diagnostics
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 EPS = np.finfo(np.float64).eps
@@ -90,7 +91,9 @@ def directions_and_radial_variances(rng: np.random.Generator) -> None:
             exact_variance.append(float((n * tensor * n.T)[0]))
     np.testing.assert_allclose(scan.line_of_sight, exact_direction, rtol=0.0, atol=8.0 * EPS)
     size = np.abs(stress[:3]).max()
-    np.testing.assert_allclose(brs.geometry.radial_variance(scan, stress), exact_variance, rtol=0.0, atol=64.0 * EPS * size)
+    np.testing.assert_allclose(
+        brs.geometry.radial_variance(scan, stress), exact_variance, rtol=0.0, atol=64.0 * EPS * size
+    )
 
 
 def laws_of_radial_variances(rng: np.random.Generator) -> None:
@@ -108,7 +111,8 @@ def laws_of_radial_variances(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(other, variance, rtol=0.0, atol=tolerance)
     order = rng.permutation(scan.n_beam)
     np.testing.assert_array_equal(
-        brs.geometry.radial_variance(scan.select(scan.beam[order]), stress), brs.geometry.radial_variance(scan, stress)[order]
+        brs.geometry.radial_variance(scan.select(scan.beam[order]), stress),
+        brs.geometry.radial_variance(scan, stress)[order],
     )
     assert np.all(variance >= -tolerance), "a realizable tensor has a negative variance"
 
@@ -121,9 +125,13 @@ def principal_variances(rng: np.random.Generator) -> None:
         values = mpmath.eigsy(mpmath.matrix([[uu, uv, uw], [uv, vv, vw], [uw, vw, ww]]), eigvals_only=True)
         exact = sorted(float(value) for value in values)
     size = max(abs(exact[0]), abs(exact[-1]))
-    np.testing.assert_allclose(np.sort(brs.geometry.principal_variances(stress)), exact, rtol=0.0, atol=32.0 * EPS * size)
+    np.testing.assert_allclose(
+        np.sort(brs.geometry.principal_variances(stress)), exact, rtol=0.0, atol=32.0 * EPS * size
+    )
     turned = brs.geometry.rotate_stress(stress, q)
-    np.testing.assert_allclose(np.sort(brs.geometry.principal_variances(turned)), exact, rtol=0.0, atol=128.0 * EPS * size)
+    np.testing.assert_allclose(
+        np.sort(brs.geometry.principal_variances(turned)), exact, rtol=0.0, atol=128.0 * EPS * size
+    )
     np.testing.assert_array_equal(brs.geometry.pack_stress(brs.geometry.unpack_stress(stress)), stress)
 
 
@@ -420,7 +428,7 @@ def diagnostics_do_not_know_units(rng: np.random.Generator) -> None:
     )
     x = np.round(x * 2.0**20) / 2.0**20  # so that a shift is exact, and makes and breaks no ties
     factor, shift = float(rng.choice([-1.0, 1.0])) * 2.0 ** int(rng.integers(-20, 20)), 2.0 ** int(rng.integers(-3, 3))
-    for of in (brs.ess_bulk, brs.ess_tail, lambda y: brs.r_hat(y, 2)):
+    for of in (diagnostics.ess_bulk, diagnostics.ess_tail, lambda y: diagnostics.r_hat(y, 2)):
         np.testing.assert_allclose(of(factor * x), of(x), rtol=1e-9)
         np.testing.assert_allclose(of(x + shift), of(x), rtol=1e-9)
 
