@@ -15,7 +15,7 @@ from bayes_rs._validation import FloatArray, check_choice, check_count, check_no
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress as progress_bar
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.information import information_ratio
 from bayes_rs.spectra.lag_window import lag_windows, ordinates
@@ -43,7 +43,7 @@ def fit_spectra(
     instrument_noise_sd: float | None = None,
     beams: str = "together",
     max_beams: int = 6,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
 ) -> xr.Dataset:
     r"""Fit length scale, dissipation and instrument noise to the spectra of every record.
 
@@ -65,7 +65,7 @@ def fit_spectra(
         ``"together"``: a record has one L, dissipation and noise. ``"each"``: every beam has its own.
     max_beams : int
         Of a scan with more beams, so many are fitted, evenly chosen: neighbours tell little more.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
 
     Returns
@@ -112,7 +112,7 @@ def fit_spectra(
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")  # L is 61 m
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
     >>> spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-    >>> fit = fit_spectra(spectra, scan, show_progress=False)
+    >>> fit = fit_spectra(spectra, scan, progress=False)
     >>> pooled = pool_length_scale(fit)
     >>> bool(45.0 < pooled["length_scale"][0] < 80.0), bool(pooled["length_scale_log_sd"][0] < 0.15)
     (True, True)
@@ -143,8 +143,8 @@ def fit_spectra(
     shape = (n_record, len(groups))
     states = _States(spectra, used, gammas, log_node, instrument_noise, instrument_noise_sd)
     found: dict[tuple[int, int], _Found] = {}
-    for r in progress(
-        list(range(n_record)), n_record, "spectra", disable=None if show_progress is None else not show_progress
+    for r in progress_bar(
+        list(range(n_record)), n_record, "spectra", disable=None if progress is None else not progress
     ):
         for g, members in enumerate(groups):
             one = states.fit(r, members)
@@ -315,7 +315,7 @@ def with_length_scale(records: xr.Dataset, fit: xr.Dataset, pooled: xr.Dataset |
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
     >>> records = brs.make_records(series, scan)
-    >>> fitted = brs.fit_spectra(brs.radial_spectra(series, scan, records), scan, show_progress=False)
+    >>> fitted = brs.fit_spectra(brs.radial_spectra(series, scan, records), scan, progress=False)
     >>> "length_scale" in with_length_scale(records, fitted)
     True
     """
