@@ -100,8 +100,11 @@ mathjax3_config = {"svg": {"fontCache": "global"}, "options": {"enableMenu": Fal
 _MIRRORED = {"notebooks": ("*.ipynb",), "benchmarks": ("README.md", "measured.md", "*.csv", "*.png")}
 _EQUATION = re.compile(r"^ {4,}\S")
 _STUB = "\n".join(file.read_text(encoding="utf-8") for file in sorted((ROOT / "bayes_rs").rglob("__init__.pyi")))
-_PLACES = {name: f"{api_tables.place_of(subject)}.{name}" for subject in reversed(api_tables.SUBJECTS)
-           for name in api_tables.listed(subject)}
+_PLACES = {
+    name: f"{api_tables.place_of(subject)}.{name}"
+    for subject in reversed(api_tables.SUBJECTS)
+    for name in api_tables.listed(subject)
+}
 _OUR_NAME = re.compile(r"(?<![`:\w])`(" + "|".join(_PLACES) + r")`(?!`)")
 _OUR_TYPE = re.compile(r"\b(" + "|".join(re.findall(r" as ([A-Z][a-z]\w+)$", _STUB, re.MULTILINE)) + r")\b")
 
@@ -145,6 +148,7 @@ def point_inside(_: Any, docname: str, source: list[str]) -> None:
 def show_docstring(_: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Show indented equations as they stand, no bar of |k| as a substitution, and our own types as links."""
     del what, name, obj, options
+
     def linked(match: re.Match[str]) -> str:
         return f"`~{_PLACES[match[1]]}`"
 

@@ -130,7 +130,7 @@ def open_fit(folder: str | Path) -> Fit:
     Examples
     --------
     >>> import tempfile, bayes_rs as brs
-    >>> records = brs.make_records(brs.simulate("2-beam", wind_speed=10.0, n_records=2, seed=1), "2-beam")
+    >>> records = brs.make_records(brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1), "2-beam")
     >>> with tempfile.TemporaryDirectory() as place:
     ...     found = brs.fit(records, "2-beam", seed=1, output=f"{place}/two")
     ...     open_fit(f"{place}/two").summary().equals(found.summary())

@@ -71,10 +71,8 @@ def prior_sensitivity(
     Examples
     --------
     >>> import bayes_rs as brs
-    >>> scan, flow = brs.load_scan("50-beam"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
-    >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=4, seed=1), scan)
-    >>> table = prior_sensitivity(records, scan, noise=noise, seed=1)
+    >>> series = brs.simulate("50-beam", "fu-2022", wind_speed=10.0, n_records=4, seed=1)
+    >>> table = prior_sensitivity(brs.make_records(series, "50-beam"), "50-beam", seed=1)
     >>> table.query("stress == 'uu' and factor == 1")["width_ratio"].item()
     1.0
     """

@@ -122,7 +122,7 @@ def fit_spectra(
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")  # L is 61 m
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
-    >>> spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
+    >>> spectra = brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan))
     >>> fit = fit_spectra(spectra, scan, progress=False)
     >>> pooled = pool_length_scale(fit)
     >>> bool(45.0 < pooled["length_scale"][0] < 80.0), bool(pooled["length_scale_log_sd"][0] < 0.15)
@@ -328,7 +328,7 @@ def with_length_scale(records: xr.Dataset, fit: xr.Dataset, pooled: xr.Dataset |
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
     >>> records = brs.make_records(series, scan)
-    >>> fitted = brs.fit_spectra(brs.radial_spectra(series, scan, records), scan, progress=False)
+    >>> fitted = fit_spectra(brs.spectra.radial_spectra(series, scan, records), scan, progress=False)
     >>> "length_scale" in with_length_scale(records, fitted)
     True
     """

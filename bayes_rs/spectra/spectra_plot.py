@@ -59,7 +59,7 @@ def spectra(
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
-    >>> figure = spectra(brs.radial_spectra(series, scan, brs.make_records(series, scan)))
+    >>> figure = spectra(brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan)))
     >>> len(figure.axes)
     1
     """
