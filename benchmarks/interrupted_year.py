@@ -53,7 +53,8 @@ def fit(output: Path, n_record: int) -> None:
     noise = shipped_noise(scan)
     if noise is None:
         sys.exit("No noise is shipped for the scan.")
-    brs.fit(make_year(scan, noise, n_record), scan, seed=1, noise=noise, output=output, workers=2, resume=True)
+    records = make_year(scan, noise, n_record)
+    brs.fit(records, scan, seed=1, noise=noise, output=output, workers=2, sampler="auto", resume=True)
 
 
 def part_files(folder: Path, dataset: str) -> list[Path]:

@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=52_560)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--scan", action="append")
-    parser.add_argument("--sampler", default="emcee")
+    parser.add_argument("--sampler", default="auto")
     arguments = parser.parse_args()
     for name in arguments.scan or ["6-beam", "50-beam"]:
         scan = brs.load_scan(name)
