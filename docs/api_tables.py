@@ -9,7 +9,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "bayes_rs"
 SUBJECTS = ("", *sorted(file.parent.name for file in PACKAGE.glob("*/__init__.pyi")))
 """The package itself, and its modules by subject."""
 _NAME = re.compile(r"^from \.(\S*) import \w+ as (\w+)$", re.MULTILINE)
-_HEAD = "```{eval-rst}\n.. autosummary::\n   :toctree: api\n   :nosignatures:\n"
 
 
 def mark(subject: str) -> str:
@@ -30,12 +29,21 @@ def names_in(subject: str) -> dict[str, str]:
 
 
 def listed(subject: str) -> list[str]:
-    """Return the names that stand in the list of a subject: functions and classes that are not on top, too."""
-    on_top = names_in("") if subject else {}
-    found = names_in(subject)
-    return [name for name in found if name != "__version__" and not name.isupper() and on_top.get(name) != found[name]]
+    """Return the functions and classes of a subject, without those that are on top, too."""
+    on_top = {name for name, module in names_in("").items() if subject and module.startswith(f"{subject}.")}
+    return [name for name in names_in(subject) if name != "__version__" and not name.isupper() and name not in on_top]
 
 
 def names_of(subject: str) -> str:
-    """Return the list of the names of a subject, each with its first line."""
-    return _HEAD + "\n" + "\n".join(f"   ~{place_of(subject)}.{name}" for name in listed(subject)) + "\n```"
+    """Return the list of the names of a subject, each with its first line, for a page in Markdown."""
+    return f"```{{eval-rst}}\n{_autosummary(subject, 'api')}\n```"
+
+
+def autosummaries(toctree: str) -> str:
+    """Return the lists of all names, whose pages are in a folder."""
+    return "\n\n".join(_autosummary(subject, toctree) for subject in SUBJECTS) + "\n"
+
+
+def _autosummary(subject: str, toctree: str) -> str:
+    names = "\n".join(f"   ~{place_of(subject)}.{name}" for name in listed(subject))
+    return f".. autosummary::\n   :toctree: {toctree}\n   :nosignatures:\n\n{names}"

@@ -68,7 +68,10 @@ nb_merge_streams = True
 add_module_names = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
-autosummary_generate = True
+# the pages of names are made for what is in this file: the lists of api.md come later, when its page is read
+_names = HERE / "_build" / "names.rst"
+_names.write_text(api_tables.autosummaries("../api"), encoding="utf-8")
+autosummary_generate = [str(_names)]
 autosummary_imported_members = True
 default_role = "py:obj"
 numpydoc_show_class_members = False
