@@ -105,9 +105,10 @@ def fit(
     (`SonicFactor`). S is what the draws are, and what ESS and R-hat are of (`draw_sonic`).
 
     The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders such
-    as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row for each record)
-    and, where draws are kept, ``draws`` and ``predicted`` (one row for each draw); pandas reads each, or one month of it, as
-    one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever one is read. A part
+    as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row for each
+    record) and, where draws are kept, ``draws`` and ``predicted`` (one row for each draw). pandas reads each, or one
+    month of it, as one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever one is
+    read. A part
     counts only if it is whole. A record whose likelihood cannot be calculated is flagged ``likelihood_failed`` and
     stops nothing. All numbers are the same for a seed, in memory or in a folder, whatever the number of workers, the
     order in which they finish, and however often the run was interrupted.
