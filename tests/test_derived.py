@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_rs import InputError, fit, load_scan, load_turbulence, lumley, radial_variance, rotate_stress
+from bayes_rs import InputError, fit, load_scan, load_turbulence
 from bayes_rs.fits.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
+from bayes_rs.geometry.forward import radial_variance
+from bayes_rs.geometry.stress import rotate_stress
 from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.plot.lumley_plot import lumley
 
 ISOTROPIC = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
 ONE_COMPONENT = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]

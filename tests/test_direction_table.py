@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, direction_words, fit, load_scan
+from bayes_rs import fit, load_scan
+from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
+from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.priors.registry import FlatPrior
 
 YAW = 25.0
@@ -71,9 +73,3 @@ def test_an_unseen_direction_keeps_the_width_of_the_prior_where_nothing_binds_it
 def test_words():
     assert direction_words(np.array([0.0, 0.7, 0.7, 0.0, -0.1, 0.0])) == "0.70 vv + 0.70 ww − 0.10 uw"
     assert direction_words(np.array([-1.0, 0, 0, 0, 0, 0])) == "− 1.00 uu"
-
-
-def test_another_scan_is_refused():
-    _, result = result_of("6-beam")
-    with pytest.raises(InputError, match="are not all in scan '2-beam'"):
-        result.directions()

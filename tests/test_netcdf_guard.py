@@ -17,20 +17,17 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from bayes_rs.fits.fit_job import open_result
 from folder_scene import N_RECORD, make_series, run, write_file, write_noise
 from format_files import compress, series_of
 from ray_files import six_beam
 
 from bayes_rs.errors import InputError
-from bayes_rs.fits import fit_job
 from bayes_rs.noise.file import load_noise
 from bayes_rs.readers import netcdf_guard
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault
 from bayes_rs.readers.reading import read
 from bayes_rs.records.record_files import open_records
-from bayes_rs.report import folder as report_folder
 
 SIX = six_beam(45.0, step=1.0)
 SHORT = series_of(SIX, n_scan=8)

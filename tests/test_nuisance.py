@@ -7,23 +7,14 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import (
-    InputError,
-    Nuisances,
-    compare_inflow,
-    fit,
-    load_scan,
-    load_turbulence,
-    make_records,
-    mean_wind,
-    radial_variance,
-    simulate,
-)
+from bayes_rs import InputError, Nuisances, compare_inflow, fit, load_scan, load_turbulence, make_records, simulate
+from bayes_rs.geometry.forward import radial_variance
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.priors.registry import WeakPrior
+from bayes_rs.wind.mean_vector import mean_wind
 
 N_RECORD = 300
 

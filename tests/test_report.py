@@ -10,21 +10,21 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
-from bayes_rs.report.folder import NUMBERS, read_folder
-from campaign_scene import make_records
+from fit_scene import make_records
 from click.testing import CliRunner
 from report_scene import EVIL, demo_records, evil_folder, result_folder, table_folder
 
-from bayes_rs import STRESSES, InputError, open_result, read_summary, write_report
+from bayes_rs import STRESSES, InputError, write_report
 from bayes_rs.cli.report_command import report
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.flags import FLAGS
+from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
+from bayes_rs.fits.tables import read_summary
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.packing import MISSING, pack, pack_rows, pack_steps, plain
+from bayes_rs.report.report_data import NUMBERS
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
-from bayes_rs.report.words import FLAG_MEANINGS
 
 pytestmark = pytest.mark.slow
 HALF_STEP = 0.5 / 32767 * (1.0 + 1e-6)  # of the largest number in a row; and the rounding of its unit to float32

@@ -8,28 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from bayes_rs.report.folder import read_folder
 from folder_scene import DURATION, FITTING, FLOW, RECORDING
 
-from bayes_rs import (
-    InputError,
-    WeakPrior,
-    fit,
-    fit_campaign,
-    load_scan,
-    make_records,
-    open_result,
-    read,
-    run_fit,
-    run_folder_fit,
-    save_scan,
-    simulate,
-    write_report,
-)
+from bayes_rs import InputError, fit, load_scan, make_records, read, save_scan, simulate, write_report
 from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store
 from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
 from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.priors.ratio import WeakPrior
 
 pytestmark = pytest.mark.slow
 N_RECORD = 10

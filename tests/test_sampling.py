@@ -13,7 +13,7 @@ from bayes_rs.likelihoods.log_normal import LogNormalLikelihood, log_normal_like
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
-from bayes_rs.posteriors.sampling import SAMPLERS, sample
+from bayes_rs.posteriors.sampling.__init__ import SAMPLERS, sample
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.ensemble import RecordSampler

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bayes_rs.fits.fit_job import run_fit
 from noise_checks import check_noise
 from other_likelihoods import OTHER_LIKELIHOODS
 from scenes import records_of
@@ -409,9 +408,9 @@ class TestNoise:
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
         scan = load_scan("staring")
         records = records_of(np.array([[1.0], [1.5]]), scan)
-        outcome = run_fit(records, scan, tmp_path / "out", target="sonic", target_ess=200)
-        assert outcome.n_fitted == 2
-        assert outcome.result.attrs["target"] == "sonic"
+        found = fit(records, scan, output=tmp_path / "out", seed=1, target="sonic", target_ess=200)
+        assert found.n_fitted == 2
+        assert found.attrs["target"] == "sonic"
 
 
 class TestRefusals:

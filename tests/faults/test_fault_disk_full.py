@@ -13,9 +13,10 @@ from fault_scenes import CALIBRATE, FIT, RECORDS, complaint, run
 from scenes import TURBULENCE, draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs import InputError, WeakPrior, load_scan
+from bayes_rs import InputError, load_scan
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_file, output_folder, write_csv, write_netcdf, write_run
+from bayes_rs.priors.ratio import WeakPrior
 
 SCAN = load_scan("2-beam")
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -11,7 +11,8 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs import MannTurbulence, WeakPrior, load_scan
+from bayes_rs import MannTurbulence, load_scan
+from bayes_rs.priors.ratio import WeakPrior
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>\"' onload='alert(3)&{{data}}"
 

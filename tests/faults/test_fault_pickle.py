@@ -10,7 +10,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from bayes_rs.report.folder import _draws_of_store
 
 import bayes_rs
 from bayes_rs.models import models_folder
