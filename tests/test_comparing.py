@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
+from bayes_rs.noise.theory import theory_noise
 
 from bayes_rs import InputError, compare, enough_beams, load_scan, load_turbulence, plot_comparison, save_scan
 from bayes_rs.cli import main
@@ -17,7 +18,6 @@ from bayes_rs.design.comparing import COLUMNS
 from bayes_rs.design.scan_grid import DESIGN
 from bayes_rs.design.trial_records import drawn_records, explained_errors
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.theory import theory_noise
 from bayes_rs.options import options_of
 
 FLOW = load_turbulence("fu-2022")

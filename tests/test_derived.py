@@ -121,8 +121,9 @@ class TestPlot:
             lumley(result, 1)
 
     def test_no_fitted_record_is_a_figure_too(self, result):
-        broken = result.copy(deep=True)
-        broken["posterior/stress"][:] = np.nan
+        records = result.records.assign(flag=result.records["flag"] * 0 + 1)
+        scan = result.scan
+        broken = fit(records, scan, noise=calibrate(scan, "fu-2022", wind_speed=10.0), seed=1, sampler="direct")
         axis = lumley(broken).axes[0]
         assert axis.get_title().startswith("0 records")
         assert len(axis.containers[0].lines[0].get_xydata()) == 0

@@ -74,5 +74,6 @@ def test_contraction_is_against_the_prior_in_the_same_frame(result):
 
 
 def test_refuses_another_frame(result):
+    _, found = result
     with pytest.raises(InputError, match=r"Unknown frame 'earth': it must be one of wind, lidar\."):
-        result[1].summary(frame="earth")
+        found.summary(frame="earth")

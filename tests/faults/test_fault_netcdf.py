@@ -66,11 +66,17 @@ def test_refused_at_once(tmp_path, write, load):
 
 
 @pytest.mark.parametrize("write", [huge, objects, around])
-def test_records_and_results(tmp_path, write):
-    write(tmp_path / "posterior.nc")
-    assert open_records(tmp_path / "posterior.nc", SCAN) is None
-    with pytest.raises(InputError, match=r"posterior\.nc"):
-        open_result(tmp_path)
+def test_records_and_fits(tmp_path, write):
+    write(tmp_path / "records.nc")
+    assert open_records(tmp_path / "records.nc", SCAN) is None
+    scan = load_scan("staring")
+    place = tmp_path / "out"
+    fit(records_of(np.ones((1, 1)), scan), scan, output=place, seed=1, noise=plain_noise(scan), target_ess=50)
+    (place / "records.nc").unlink()
+    write(place / "records.nc")
+    seal_folder(place)  # as if our own run had written it
+    with pytest.raises(InputError, match=r"records\.nc"):
+        _ = open_fit(place).records
 
 
 @pytest.mark.parametrize(
