@@ -44,11 +44,12 @@ def write_noise(file):
     calibrate(SCAN, FLOW, wind_speed=10.0, duration=DURATION, cache=False).save(file)
 
 
-def run(files, output, noise, *, say=lambda line: None, **options):
+def run(files, output, noise, **options):
     """Fit files into a folder; options are those of settings, by their names."""
     names = [str(name) for name in (files if isinstance(files, list) else [files])]
     given = {"scan": SCAN_NAME, "noise": str(noise), **RECORDING, **FITTING, **LONG, **options}
-    return fit_files(Settings().changed(files=names, output=str(output), **given), say=say)
+    more = {"say": given.pop("say")} if "say" in given else {}
+    return fit_files(Settings().changed(files=names, output=str(output), **given), **more)
 
 
 def stop_at_write(number, sent):

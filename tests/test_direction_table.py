@@ -40,7 +40,7 @@ def test_directions_are_an_orthonormal_basis_and_the_unseen_change_no_beam(name)
 
 def test_contraction_is_that_of_the_components_of_turned_draws():
     """The slow way: every draw turned into the lidar's frame, then variances of its components."""
-    scan, result = result_of("4-beam", yaw_deg=YAW)
+    _, result = result_of("4-beam", yaw_deg=YAW)
     table = result.directions()
     turn = np.array([[np.cos(a := np.deg2rad(-YAW)), np.sin(a), 0.0], [-np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
     prior = rotate_stress(result["prior/stress"].values.reshape(-1, 6), turn)
@@ -61,7 +61,7 @@ def test_an_unseen_direction_keeps_the_width_of_the_prior_where_nothing_binds_it
 
     With 200 effective draws a ratio of variances has a standard deviation of a tenth.
     """
-    scan, result = result_of("staring", prior=FlatPrior(bound=5.0))
+    _, result = result_of("staring", prior=FlatPrior(bound=5.0))
     rows = result.directions()
     free = rows[["vv", "ww"]].pow(2).sum(axis=1) > 1.0 - 1e-9
     assert free.sum() == 4

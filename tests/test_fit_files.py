@@ -94,7 +94,7 @@ def run_that_stops(files, output, noise, *, number, sent):
 
 
 class TestNumbers:
-    def test_they_are_those_of_the_whole_series(self, files, noise, whole, tmp_path):
+    def test_they_are_those_of_the_whole_series(self, files, noise, whole):
         series = read(sorted(files.iterdir()), SCAN)
         records = make_records(series, SCAN, **RECORDING)
         found = xr.load_dataset(whole / "records.nc", engine="h5netcdf")

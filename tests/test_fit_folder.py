@@ -431,7 +431,8 @@ class TestResume:
         other = records.copy(deep=True)
         other["variance"].values[22, 5] *= 1.0 + 1e-15
         later = records.assign_coords(time=records["time"] + np.timedelta64(1, "s"))
-        turned = replace(NOISE, turbulence=MannTurbulence(dissipation=0.05, length_scale=60.0, gamma=3.2), length_scale=60.0)
+        flow = MannTurbulence(dissipation=0.05, length_scale=60.0, gamma=3.2)
+        turned = replace(NOISE, turbulence=flow, length_scale=60.0)
         for data, noise, what in (
             (other, NOISE, "records"),
             (later, NOISE, "records"),

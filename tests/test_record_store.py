@@ -136,7 +136,7 @@ class TestDamage:
         monkeypatch.setattr(record_store, "_save", damaging)
         found, said = store(files)
         np.testing.assert_array_equal(found.records["variance"], expected["variance"])
-        assert "was damaged while the files were read: all are read again" in said[0]
+        assert "was damaged meanwhile: all files are read again" in said[0]
 
     def test_a_disk_that_loses_everything(self, files, store, monkeypatch):
         save = record_store._save

@@ -163,11 +163,11 @@ class TestNoise:
 
     def test_scan_and_turbulence_by_name_file_and_object(self, records, tmp_path):
         scan = brs.load_scan("2-beam")
-        flow = brs.load_turbulence("stable-land")
+        flow = brs.load_turbulence("stable-onshore")
         brs.save_scan(scan, tmp_path / "mine.toml")
         expected = brs.fit(records, scan, noise=brs.noise.calibrate(scan, flow, records=records), **SMALL).summary()
         for of_scan in (scan, "2-beam", tmp_path / "mine.toml", str(tmp_path / "mine.toml")):
-            found = brs.fit(records, of_scan, turbulence="stable-land", **SMALL)
+            found = brs.fit(records, of_scan, turbulence="stable-onshore", **SMALL)
             assert found.run["noise"]["turbulence"] == flow.name
             pd.testing.assert_frame_equal(found.summary(), expected, check_exact=True)
         other = brs.fit(records, scan, **SMALL)
@@ -179,9 +179,9 @@ class TestNoise:
         assert any(line.startswith("noise") for line in said), said
 
     def test_the_settings_say_how_it_was_made(self, records, tmp_path):
-        brs.fit(records, "2-beam", turbulence="stable-land", output=tmp_path / "out", **SMALL)
+        brs.fit(records, "2-beam", turbulence="stable-onshore", output=tmp_path / "out", **SMALL)
         noise = brs.open_fit(tmp_path / "out").settings["noise"]
-        assert (noise["turbulence"], noise["noise_method"], noise["noise"]) == ("stable-land", "theory", None)
+        assert (noise["turbulence"], noise["noise_method"], noise["noise"]) == ("stable-onshore", "theory", None)
 
     @pytest.mark.parametrize("name", ["6-beam", "50-beam"])
     def test_noise_of_another_wind_is_flagged_and_counted(self, tmp_path, name):
@@ -220,7 +220,7 @@ OPTION_CASES = {
     "target": ({}, {"target": "ensemble"}),
     "sampler": ({}, {"sampler": "direct"}),
     "likelihood": ({}, {"likelihood": "gamma"}),
-    "target_ess": ({}, {"target_ess": 600}),
+    "target_ess": ({}, {"target_ess": 5000}),
     "max_extension": ({"target_ess": 1500, "prior": "flat"}, {"max_extension": 0}),
     "instrument_noise": ({}, {"instrument_noise": 0.05}),
     "nuisances": ({}, {"nuisances": Nuisances(tilt_sd_deg=3.0)}),
@@ -234,7 +234,7 @@ NUISANCE_CASES = {
     "yaw_sd_missing_deg": ({"yaw_sd_deg": "records", "yaw_sd_missing_deg": 2.0}, {"yaw_sd_missing_deg": 20.0}),
     "tilt_sd_deg": ({}, {"tilt_sd_deg": 3.0}),
     "instrument_noise_log_sd": ({}, {"instrument_noise_log_sd": 0.8}),
-    "length_scale_log_sd": ({"length_scale": 61.0}, {"length_scale_log_sd": 0.4}),
+    "length_scale_log_sd": ({"length_scale_log_sd": 0.1, "length_scale": 61.0}, {"length_scale_log_sd": 0.5}),
     "length_scale": ({"length_scale_log_sd": 0.2, "length_scale": 61.0}, {"length_scale": 90.0}),
     "vertical_gradient_sd": ({}, {"vertical_gradient_sd": 0.8}),
     "lateral_gradient_sd": ({}, {"lateral_gradient_sd": 0.8}),

@@ -95,7 +95,7 @@ class TestTable:
     def test_flags_are_in_words_on_every_row_of_a_record(self, result):
         table = result.summary()
         flags = table.groupby("record")["flag"].agg(lambda words: sorted(set(words)))
-        assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out"], [""]]
+        assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out;outside_noise"], ["outside_noise"]]
 
     def test_records_that_were_not_fitted_are_rows_of_nan(self, result):
         table = result.summary(derived=DERIVED)
@@ -273,5 +273,6 @@ class TestRefusals:
 
 
 def test_flags_of_the_test_scene_are_what_the_fit_says(result):
-    expected = [0, FLAGS["no_usable_beam"], FLAGS["beam_left_out"], 0]
+    outside = FLAGS["outside_noise"]  # winds of 12 and 5 m/s, and noise of 10 m/s
+    expected = [0, FLAGS["no_usable_beam"], FLAGS["beam_left_out"] | outside, outside]
     assert result["sample_stats/flag"].values.tolist() == expected

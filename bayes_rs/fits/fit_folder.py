@@ -103,8 +103,12 @@ def fit_into(
         )
         raise
     found = Fit(run, plan.scan, FolderTables(folder, int(run["part_records"])), _InFolder(folder), str(folder.path))
-    _write_exports(folder, found)
-    counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
+    try:
+        _write_exports(folder, found)
+        counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
+    except (InputError, OSError):
+        folder.check_whole()  # a part that went while the others were made is named as lost
+        raise
     seconds = {**run.get("seconds", {}), "fitting": round(time.perf_counter() - began, 3)}
     folder.finish({**run, **counts, "seconds": seconds})
 
@@ -137,11 +141,11 @@ def open_fit(folder: str | Path) -> Fit:
     True
     """
     opened = open_result_folder(folder)
-    run = opened.run()
-    if "settings" not in run or "n_record" not in run:
-        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command, or the fit has not begun.")
     if not opened.finished:
         raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
+    run = opened.run()
+    if "settings" not in run or "n_record" not in run:
+        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
     scan = load_scan_text(run["scan_toml"], name=run["scan"])
     return Fit(run, scan, FolderTables(opened, int(run["part_records"])), _InFolder(opened), str(folder))
 
@@ -181,8 +185,12 @@ class _InFolder:
     folder: ResultFolder
 
     def records(self) -> xr.Dataset:
-        check_netcdf(self.folder.checked(RECORDS_FILE), guarded=True)
-        return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
+        file = self.folder.checked(RECORDS_FILE)
+        check_netcdf(file, guarded=True)
+        try:
+            return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
+        except (ValueError, KeyError, OSError) as error:  # no such file was ever written by a fit
+            raise InputError(f"File {str(file)!r} cannot be read as records: {error}.") from error
 
     def prior_draws(self) -> FloatArray:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))

@@ -67,7 +67,7 @@ class TestCommands:
         assert not list((tmp_path / "cache").glob("**/*.nc"))  # nor half of a cached noise
 
     def test_a_folder_of_results(self, tmp_path):
-        code, errors = run(*FIT, "-o", "out", folder=tmp_path, size=100_000)  # posterior.nc is larger
+        code, errors = run(*FIT, "-o", "out", folder=tmp_path, size=400_000)  # the part with the draws is larger
         assert code == 2, errors
         reason, note = complaint(errors)
         assert "File too large" in reason
@@ -139,7 +139,7 @@ class TestWriters:
         """The writing of the second part fails; what was there goes on being read, and resuming ends it."""
         records, scan, noise = few_records(6)
         monkeypatch.setattr("bayes_rs.fits.plan.PART_RECORDS", 2)
-        options = {"noise": noise, "seed": 3, "target_ess": 100}
+        options = {"noise": noise, "seed": 3, "target_ess": 100, "draws": "none"}
         whole = brs.fit(records, scan, output=tmp_path / "whole", **options).summary()
         write, count = Path.write_bytes, iter(range(100))
 

@@ -12,7 +12,7 @@ import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
 
 import bayes_rs as brs
-from bayes_rs import InputError
+from bayes_rs import InputError, folder_place
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 
@@ -125,7 +125,7 @@ class TestFolders:
         child = os.fork()
         if child == 0:
             monkeypatch.setattr(Path, "replace", stopping(Path.replace))
-            monkeypatch.setattr(shutil, "rmtree", stopping(shutil.rmtree))
+            monkeypatch.setattr(folder_place, "remove_ours", stopping(folder_place.remove_ours))
             with output_folder(final, overwrite=True) as folder:
                 write_run(folder, {"n": "new"})
                 (folder / "posterior.nc").write_text("new")

@@ -7,11 +7,12 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from scenes import plain_noise
+from scenes import plain_noise, records_of
 
-from bayes_rs import InputError, load_scan, read
+from bayes_rs import InputError, fit, load_scan, open_fit, read
 from bayes_rs.noise.file import load_noise
 from bayes_rs.records.record_files import open_records
+from bayes_rs.result_folder import seal_folder
 
 SCAN = load_scan("2-beam")
 LOADERS = [load_noise, lambda file: read(file, SCAN)]
