@@ -136,6 +136,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "nuisances": options.nuisances.in_words(),
         "nuisance_names": list(options.nuisances.names),
         "n_record": len(batch),
+        "part_records": PART_RECORDS,
         "n_chain": N_CHAIN,
         "n_draw": n_kept(options),
         "n_predicted": n_kept(options) // BLOCK,

@@ -123,7 +123,7 @@ class _Spread:
 
     def __init__(self, result: Fit, version: Prior, prob: float) -> None:
         stress = result.draws()[result.fitted]
-        flat = stress.reshape(len(stress), -1, len(STRESSES))
+        flat = stress.reshape(len(stress), stress.shape[1] * stress.shape[2], len(STRESSES))
         levels = [0.5 - 0.5 * prob, 0.5, 0.5 + 0.5 * prob]
         ends = np.quantile(flat, levels, axis=1) if len(flat) else np.empty((3, 0, len(STRESSES)))
         self.median: FloatArray = ends[1]
