@@ -9,7 +9,6 @@ from functools import cached_property
 from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.fits.derived import check_derived
-from bayes_rs.likelihoods.log_normal import LIKELIHOODS
 from bayes_rs.options import described, option
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
@@ -91,6 +90,8 @@ class FitOptions:
         as_generator(self.seed)
         check_choice(self.target, tuple(TARGETS), what="target")
         check_choice(self.sampler, tuple(SAMPLERS), what="sampler")
+        from bayes_rs.likelihoods.log_normal import LIKELIHOODS  # noqa: PLC0415 - help need not wait for scipy
+
         check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
         check_count(self.target_ess, what="target_ess")
         check_count(self.max_extension, what="max_extension", minimum=0)
@@ -154,7 +155,7 @@ class NoiseOptions:
         open=True,
     )
     noise_method: str = option(
-        "theory", "How the noise is made", choices="bayes_rs.noise.calibrating:METHODS", flag="--noise-method"
+        "theory", "How the noise is made", choices="bayes_rs.noise.methods:METHODS", flag="--noise-method"
     )
 
 

@@ -24,7 +24,7 @@ from bayes_rs.fits.workers import check_workers
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.options import to_plain
 from bayes_rs.readers.folders import find_files
-from bayes_rs.readers.registry import SUFFIXES
+from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report

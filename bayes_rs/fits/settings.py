@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
-from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import load_scan, load_scan_text
 from bayes_rs.options import described, from_plain, nearest, option, options_of, to_plain
 from bayes_rs.output import output_file
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.records.record_options import RecordOptions
-from bayes_rs.toml_file import read_toml
+
+if TYPE_CHECKING:
+    from bayes_rs.geometry.scan import Scan
 
 RUN_SUFFIX = ".json"
 """How the names of files end that are taken for the `run.json` of a run."""

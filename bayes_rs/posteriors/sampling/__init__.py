@@ -6,44 +6,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from bayes_rs.registry import Registry
 
-from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains
-from bayes_rs.posteriors.sampling.direct import sample_direct
-from bayes_rs.posteriors.sampling.ensemble import sample_emcee
-from bayes_rs.posteriors.sampling.streams import RecordStreams
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
+    from bayes_rs.posteriors.posterior import Posterior
+    from bayes_rs.posteriors.sampling.chains import Chains
+    from bayes_rs.posteriors.sampling.streams import RecordStreams
 
-def sample_auto(
-    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
-) -> Chains:
-    """Draw directly, and sample with emcee the records for which that does not do; `Chains.sampler` says which.
-
-    A record keeps its direct draws if emcee falls short of the target, too, and the weights can be trusted.
-    """
-    chains = sample_direct(posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
-    left = np.flatnonzero(chains.missed(target_ess))
-    if len(left):
-        again = sample_emcee(
-            posterior.take(left),
-            streams=streams.take(left),
-            seed=seed,
-            target_ess=target_ess,
-            max_extension=max_extension,
-        )
-        better = np.flatnonzero(~again.missed(target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
-        chains.put(left[better], again.take(better))
-    return chains
-
-
-SAMPLERS: dict[str, Callable[..., Chains]] = {
-    "emcee": sample_emcee,
-    "direct": sample_direct,
-    "auto": sample_auto,
-}
+SAMPLERS: Registry[Callable[..., Chains]] = Registry(
+    {
+        "emcee": "bayes_rs.posteriors.sampling.ensemble:sample_emcee",
+        "direct": "bayes_rs.posteriors.sampling.direct:sample_direct",
+        "auto": "bayes_rs.posteriors.sampling.auto:sample_auto",
+    }
+)
 """The samplers by name: (posterior, *, streams, seed, target_ess, max_extension) → Chains."""
 
 
@@ -74,6 +55,8 @@ def sample(
     streams : RecordStreams
         The records' streams.
     """
+    from bayes_rs.posteriors.sampling.streams import RecordStreams  # noqa: PLC0415 - the names alone are light
+
     streams = RecordStreams(seed, keys)
     made = SAMPLERS[name](posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
     return made, streams
