@@ -3,35 +3,18 @@
 from __future__ import annotations
 
 import importlib
-import types
-import typing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-if TYPE_CHECKING:
-    from bayes_rs.options import Option
+from bayes_rs.cli.options import GroupedCommand, field_option
 
 
-class _Range(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
-    """Two numbers, FROM:TO."""
-
-    name = "range"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """Return the two numbers."""
-        try:
-            start, end = (float(part) for part in value.split(":"))
-        except ValueError:
-            self.fail(f"Invalid range {value!r}: write it as FROM:TO, such as 200:340.", param, ctx)
-        return start, end
-
-
-class _OptionsCommand(click.Command):
+class _OptionsCommand(GroupedCommand):
     """A command whose options are made of classes of options, which are loaded when they are asked for."""
 
-    classes: tuple[str, ...] = ()
+    classes: tuple[tuple[str, str], ...] = ()
     _params: list[click.Parameter]
     _complete = False
 
@@ -40,53 +23,34 @@ class _OptionsCommand(click.Command):
         """The parameters: one for each field of the classes, and the command's own."""
         if not self._complete:
             self._complete = True
-            fields = [_click_option(entry) for entry in self.fields() if entry.flag]
             first = [param for param in self._params if isinstance(param, click.Argument)]
-            self._params = [*first, *fields, *(param for param in self._params if param not in first)]
+            self._params = [*first, *self._of_classes(), *(param for param in self._params if param not in first)]
         return self._params  # click itself adds to this list
 
     @params.setter
     def params(self, own: list[click.Parameter]) -> None:
         self._params = own
 
-    def fields(self) -> list[Option]:
-        """Return the fields of the classes."""
+    def _of_classes(self) -> list[click.Parameter]:
         from bayes_rs.options import options_of
 
-        places = [place.split(":") for place in self.classes]
-        found = [getattr(importlib.import_module(module), name) for module, name in places]
-        return [entry for cls in found for entry in options_of(cls)]
+        made: list[click.Parameter] = []
+        for title, place in self.classes:
+            module, _, name = place.partition(":")
+            fields = options_of(getattr(importlib.import_module(module), name))
+            made += [field_option(entry, title) for entry in fields if entry.flag]
+        return made
 
 
 class _CompareCommand(_OptionsCommand):
-    classes = ("bayes_rs.design.compare_options:CompareOptions",)
+    classes = (("Comparison", "bayes_rs.design.compare_options:CompareOptions"),)
 
 
 class _OptimizeCommand(_OptionsCommand):
-    classes = ("bayes_rs.design.scan_limits:ScanLimits", "bayes_rs.design.scan_criteria:CriterionOptions")
-
-
-def _click_option(entry: Option) -> click.Option:
-    """Return the option of the command line that an option's field says."""
-    kinds = typing.get_args(entry.type) if isinstance(entry.type, types.UnionType) else (entry.type,)
-    several = any(typing.get_origin(kind) is not None for kind in kinds)
-    default = "" if entry.default in (None, (), "") else f" [default: {entry.default}]"
-    choices = entry.choices
-    fixed = choices if isinstance(entry.about.choices, tuple) or entry.name == "criterion" else ()
-    named = f" ({', '.join(choices)})" if choices and not fixed else ""
-    unit = f" [{entry.about.unit}]" if entry.about.unit else ""
-    text = f"{entry.about.help}{named}{unit}.{' Repeatable.' if several else ''}{default}"
-    shared: dict[str, Any] = {"help": text, "default": None}
-    if bool in kinds:
-        return click.Option([f"{entry.flag}/--no-{entry.flag.removeprefix('--')}", entry.name], **shared)
-    number = next((kind for kind in (int, float) if _holds(kinds, kind)), str)
-    kind: Any = _Range() if entry.about.metavar == "FROM:TO" else click.Choice(fixed) if fixed else number
-    metavar = entry.about.metavar or None
-    return click.Option([entry.flag, entry.name], type=kind, multiple=several, metavar=metavar, **shared)
-
-
-def _holds(kinds: tuple[Any, ...], kind: type) -> bool:
-    return any(one is kind or kind in typing.get_args(one) for one in kinds)
+    classes = (
+        ("What the scan may be", "bayes_rs.design.scan_limits:ScanLimits"),
+        ("What it is judged by", "bayes_rs.design.scan_criteria:CriterionOptions"),
+    )
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -30,10 +30,13 @@ class CompareOptions:
     """
 
     turbulence: str | MannTurbulence | tuple[str | MannTurbulence, ...] = option(
-        "fu-2022", "Turbulence of the flow, by its name or file; of several, each is a case of its own"
+        "fu-2022",
+        "Turbulence of the flow, by its name or file; of several, each is a case of its own",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
     )
     prior: str | Prior | tuple[str | Prior, ...] = option(
-        "weak", "Prior; of several, each is a case of its own", choices="bayes_rs.priors.registry:PRIORS"
+        "weak", "Prior; of several, each is a case of its own", choices="bayes_rs.priors.registry:PRIORS", open=True
     )
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")
     duration: float | tuple[float, ...] = option(

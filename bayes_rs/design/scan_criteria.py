@@ -53,9 +53,12 @@ class CriterionOptions:
         metavar="STRESS[=WEIGHT]",
     )
     turbulence: str | MannTurbulence | tuple[str | MannTurbulence, ...] = option(
-        "fu-2022", "Turbulence of the flow, by its name or file; of several, the worst case counts"
+        "fu-2022",
+        "Turbulence of the flow, by its name or file; of several, the worst case counts",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
     )
-    prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS")
+    prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS", open=True)
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")
     duration: float = option(600.0, "Length of a record", unit="s")
     yaw_deg: float | tuple[float, ...] | None = option(

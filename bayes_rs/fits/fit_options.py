@@ -58,7 +58,12 @@ class FitOptions:
         choices="bayes_rs.priors.registry:PRIORS",
         open=True,
     )
-    target: str = option("record", "Which R", choices=tuple(TARGETS))
+    target: str = option(
+        "record",
+        "Which R: record is that of one averaging period, ensemble that of an infinite record, sonic what a sonic at the "
+        "lidar would measure in that period",
+        choices=tuple(TARGETS),
+    )
     sampler: str = option("emcee", "How the posterior is sampled", choices="bayes_rs.posteriors.sampling:SAMPLERS")
     likelihood: str = option(
         "log-normal",
