@@ -207,13 +207,12 @@ def _has_type(value: Any, annotation: Any) -> bool:
 
 def nearest(name: str, known: Mapping[str, Any], elsewhere: Mapping[str, tuple[str, ...]] | None = None) -> str:
     """Say which option was meant, or which there are; `elsewhere` are those of other sections, and their places."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    if close:
-        return f"did you mean {close[0]!r}"
-    other = difflib.get_close_matches(name, list(elsewhere or {}), n=1, cutoff=0.6)
-    if elsewhere and other:
-        return f"did you mean {other[0]!r} of section {'.'.join(elsewhere[other[0]])}"
-    return f"the options are {', '.join(known)}"
+    places = elsewhere or {}
+    close = difflib.get_close_matches(name, list({**known, **places}), n=1, cutoff=0.6)
+    if not close:
+        return f"the options are {', '.join(known)}"
+    place = "" if close[0] in known else f" of section {'.'.join(places[close[0]])}"
+    return f"did you mean {close[0]!r}{place}"
 
 
 def _default(entry: Field[Any]) -> Any:

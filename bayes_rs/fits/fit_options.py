@@ -60,8 +60,8 @@ class FitOptions:
     )
     target: str = option(
         "record",
-        "Which R: record is that of one averaging period, ensemble that of an infinite record, sonic what a sonic at the "
-        "lidar would measure in that period",
+        "Which R: record is that of one averaging period, ensemble that of an infinite record, sonic what a sonic at "
+        "the lidar would measure in that period",
         choices=tuple(TARGETS),
     )
     sampler: str = option("emcee", "How the posterior is sampled", choices="bayes_rs.posteriors.sampling:SAMPLERS")

@@ -135,8 +135,8 @@ class OutputOptions:
         check_count(self.workers, what="workers")
         if self.scheduler is not None and self.workers != 1:
             raise InputError(
-                f"Invalid workers {self.workers} with scheduler {self.scheduler!r}: the workers of the scheduler do the "
-                "work; leave one of them out."
+                f"Invalid workers {self.workers} with scheduler {self.scheduler!r}: its own workers do the work; leave "
+                "one of them out."
             )
 
 
@@ -229,11 +229,11 @@ class Settings:
         InputError
             If the file exists and may not be replaced, or an option cannot be written.
         """
-        import tomli_w  # noqa: PLC0415 - seldom needed
-
-        plain = _without_none(self.with_whole_paths().to_plain())
+        plain = self.with_whole_paths().to_plain()
+        lines = [*_table("fit.nuisances", plain["fit"].pop("nuisances"))]
+        lines = [line for name, values in plain.items() for line in _table(name, values)] + lines
         with output_file(path, overwrite=overwrite) as part:
-            part.write_text(tomli_w.dumps(plain), encoding="utf-8")
+            part.write_text("\n".join(lines), encoding="utf-8")
 
     def with_whole_paths(self) -> Settings:
         """Return the settings with the paths of files from the root on, so that they hold in every folder."""
@@ -394,10 +394,9 @@ def _of_run(file: Path) -> dict[str, Any]:
     return plain
 
 
-def _without_none(plain: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what is not said: TOML has no null."""
-    return {
-        name: _without_none(value) if isinstance(value, dict) else value
-        for name, value in plain.items()
-        if value is not None
-    }
+def _table(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a table of a TOML file; what is not said is left out, since TOML has no null."""
+    from bayes_rs.toml_file import toml_value  # noqa: PLC0415 - help need not wait for it
+
+    said = {key: value for key, value in values.items() if value is not None and value not in ([], {})}
+    return [f"[{name}]", *(f"{key} = {toml_value(value)}" for key, value in said.items()), ""] if said else []

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.polynomial import chebyshev
 import scipy
+from numpy.polynomial import chebyshev
 
 from bayes_rs._validation import FloatArray, check_non_negative, check_positive
 from bayes_rs.errors import InputError

@@ -224,6 +224,7 @@ def _read_left(
         )
         raise
     if len(done.bad) == len(paths):
+        folder.remove(_STATE)  # there is nothing to go on from
         first = next(iter(done.bad.values()))
         raise InputError(f"None of the {len(paths)} files can be used; the first: {first}")
     return done
