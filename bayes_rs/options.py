@@ -208,7 +208,8 @@ def _has_type(value: Any, annotation: Any) -> bool:
 def nearest(name: str, known: Mapping[str, Any], elsewhere: Mapping[str, tuple[str, ...]] | None = None) -> str:
     """Say which option was meant, or which there are; `elsewhere` are those of other sections, and their places."""
     places = elsewhere or {}
-    close = difflib.get_close_matches(name, list({**known, **places}), n=1, cutoff=0.6)
+    names = list({**known, **places})
+    close = [one for one in names if one.startswith(f"{name}_")] or difflib.get_close_matches(name, names, n=1)
     if not close:
         return f"the options are {', '.join(known)}"
     place = "" if close[0] in known else f" of section {'.'.join(places[close[0]])}"

@@ -56,7 +56,9 @@ SAMPLES = {
         "expected_count": Sample(480.0),
         "min_count": Sample(20),
         "motion": Sample(("/data/a.csv", "/data/b.csv"), ("--motion", "/data/a.csv", "--motion", "/data/b.csv")),
-        "motion_columns": Sample({"tilt_deg": "Tilt"}, ("--motion-column", "tilt_deg=Tilt"), {"motion": ("/data/a.csv",)}),
+        "motion_columns": Sample(
+            {"tilt_deg": "Tilt"}, ("--motion-column", "tilt_deg=Tilt"), {"motion": ("/data/a.csv",)}
+        ),
     },
     "quality": {
         "status_valid": Sample((1.0, 2.0)),

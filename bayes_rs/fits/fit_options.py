@@ -79,7 +79,7 @@ class FitOptions:
         unit="m² s⁻²",
         choices=("records",),
     )
-    nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over")
+    nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over", flag="")
     prob: float = option(0.9, "Probability of the credible intervals")
     derived: Sequence[str] = option(
         (), "Quantities in the summary beside the stresses", choices="bayes_rs.fits.derived:NAMES"
