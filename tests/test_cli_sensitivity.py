@@ -5,11 +5,12 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from bayes_rs.fits.sensitivity_job import run_sensitivity, sensitivity_lines
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, WeakPrior, cli, load_scan, prior_sensitivity, run_fit
-from bayes_rs.fits.prior_check import COLUMNS
+from bayes_rs import STRESSES, cli, load_scan, prior_sensitivity
+from bayes_rs import fit as run_fit
+from bayes_rs.fits.prior_check import COLUMNS, sensitivity_lines
+from bayes_rs.priors.ratio import WeakPrior
 
 FACTORS = ("--factor", "0.5", "--factor", "3")
 
@@ -102,7 +103,7 @@ def test_lines_without_another_factor():
 def test_noise_is_made_where_no_file_is_given(scene):
     _, records, scan, _ = scene
     said = []
-    table = run_sensitivity(records, scan, say=said.append)
+    table = prior_sensitivity(records, scan, seed=1, say=said.append)
     assert len(table) == 3 * len(STRESSES)
     assert len(said) == 1
     assert "fu-2022" in said[0]
@@ -123,9 +124,8 @@ def test_refusals_come_before_the_work(run, tmp_path):
 
 def words_of_fit(records, scan, noise, folder):
     """The last of what a fit of these records says, and its result."""
-    noise.save(folder / "noise.nc")
-    outcome = run_fit(records, scan, folder / "out", noise_file=folder / "noise.nc", sampler="direct")
-    return outcome.words[-1], outcome.result
+    result = run_fit(records, scan, seed=1, noise=noise, sampler="direct", output=folder / "out")
+    return result.words[-1], result
 
 
 class TestLeastSeenDirection:

@@ -156,8 +156,8 @@ class TestErrors:
             (
                 "[fit]\nyaw_sd = 2\n",
                 (
-                    "Unknown option 'yaw_sd' in settings file {file}, section fit: did you mean 'yaw_sd_deg' of section "
-                    "fit.nuisances."
+                    "Unknown option 'yaw_sd' in settings file {file}, section fit: did you mean 'yaw_sd_deg' of "
+                    "section fit.nuisances."
                 ),
             ),
             (

@@ -86,6 +86,9 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     workers, client = settings.output.workers, settings.output.scheduler
     check_workers(workers, client)
     noise = given_noise(settings.noise.noise)
+    if noise is not None:  # before files are read; the records may have fewer beams
+        both = [beam for beam in scan.beam.tolist() if beam in noise.beam] or scan.beam
+        noise.select(both).check_scan(scan.select(both))
     files = list(settings.files.files)
     records = open_record_files(files, scan)
     if records is None:
