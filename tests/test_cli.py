@@ -464,7 +464,7 @@ class TestLongFit:
         [
             (
                 ("--sampler", "nuts"),
-                ("Invalid value for '--sampler': 'nuts' is not one of 'emcee', 'direct', 'auto'.",),
+                ("Invalid value for '--sampler': 'nuts' is not one of 'emcee',",),
             ),
             (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
             (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
@@ -685,7 +685,7 @@ class TestBadOptions:
             (["--prior", "vague"], ["Unknown prior 'vague': it must be one of weak, "]),
             (
                 ["--target", "mean"],
-                ["Invalid value for '--target': 'mean' is not one of 'record', 'ensemble', 'sonic'."],
+                ["Invalid value for '--target': 'mean' is not one of 'record',"],
             ),
             (["--ess", "0"], ["Invalid target_ess 0: it must be a whole number of at least 1."]),
             (["--seed", "-1"], ["Invalid seed -1"]),
