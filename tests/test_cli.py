@@ -469,12 +469,17 @@ class TestLongFit:
             (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
             (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
             (("--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
-            (("--length-scale-sd", 0.2), ("The noise knows one length scale only",)),
             (("--length-scale", 50), ("Invalid length_scale 50 m with length_scale_log_sd 0", "--length-scale-sd")),
         ],
     )
     def test_a_value_that_is_not_valid(self, fit, inputs, more, parts):
         refusal(*fit(inputs / "good.csv", *more), *parts)
+
+    def test_noise_of_one_length_scale_for_several(self, fit, inputs):
+        code, out, err = fit(inputs / "good.csv", "--length-scale-sd", 0.2)
+        assert (code, out) == (2, "")
+        assert err[-2].startswith("bayes-rs: The noise knows one length scale only")
+        assert "the same call with resume goes on from there" in err[-1]
 
     def test_a_number_of_workers_is_refused_before_anything_is_read(self, fit, inputs):
         refusal(*fit(inputs / "good.csv", "--draws", "none", "--workers", 0), "Invalid workers 0")

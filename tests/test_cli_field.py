@@ -106,9 +106,7 @@ class TestRecords:
     def test_columns_of_no_motion_are_refused(self, file, tmp_path):
         done = run("records", file, *ANGLE, "--motion-column", "tilt_deg=Tilt", "-o", tmp_path / "records.nc")
         assert isinstance(done.exception, brs.InputError)
-        assert "The option motion_columns is only used with motion: give the files, or leave it out." in str(
-            done.exception
-        )
+        assert "The option motion_columns is only used with motion: give the files" in str(done.exception)
 
     @pytest.mark.parametrize("command", ["fit", "wind", "sensitivity", "records"])
     def test_options_without_effect_on_records_are_refused(self, file, tmp_path, command):

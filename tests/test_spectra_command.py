@@ -33,6 +33,7 @@ def test_the_command_writes_tables_a_figure_and_what_it_did(tmp_path):
     assert done.exit_code == 0, done.output
     assert "5 of 5 records fitted" in done.output
     names = {"spectra.csv", "fit.csv", "noise.csv", "spectra.nc", "fit.nc", "records.nc", "spectra.png", "run.json"}
+    names.add("fingerprints.jsonl")
     assert {file.name for file in (tmp_path / "out").iterdir()} == names
     table = pd.read_csv(tmp_path / "out" / "fit.csv")
     assert len(table) == 5
@@ -91,7 +92,7 @@ def test_the_measured_day(iea_folder):
     assert day.attrs["interval"] == pytest.approx(4.0, rel=0.01)
     both = records["flag"].values == 0
     assert day["variance"].values[both] == pytest.approx(records["variance"].values[both], rel=1e-3)
-    fit = brs.spectra.fit_spectra(day, scan, progress=False)
+    fit = brs.spectra.fit_spectra(day, scan)
     assert np.isfinite(fit["length_scale"].values).sum() >= 140
     pooled = brs.spectra.pool_length_scale(fit)
     assert 15.0 < float(pooled["length_scale"][0]) < 400.0
@@ -123,7 +124,7 @@ def test_the_measured_hour(six_beam_hour):
     hour = brs.spectra.radial_spectra(series, scan, records)
     assert hour.attrs["interval"] == pytest.approx(30.2, rel=0.02)
     assert float(hour["timing_spread"].max()) < 0.25
-    fit = brs.spectra.fit_spectra(hour, scan, progress=False)
+    fit = brs.spectra.fit_spectra(hour, scan)
     # twenty samples, 30 s apart: every record says little more than the prior, whose width is 0.8
     assert np.nanmin(fit["length_scale_log_sd"].values) > 0.3
     found = brs.spectra.estimate_instrument_noise(hour, scan, brs.load_turbulence("fu-2022"))
