@@ -98,7 +98,7 @@ class FileOptions:
     )
     separator: str | None = option(None, "What separates the entries of a text file: one character, or tab")
     decimal: str | None = option(None, "Decimal sign of a text file", choices=DECIMALS)
-    status_valid: float | None = option(None, "Status of a good sample; make_records drops the others")
+    status_valid: float | None = option(None, "Status of a good sample; the others are dropped when records are made")
     angle_tolerance_deg: float | None = option(
         None, "Largest angle between a ray and its beam", unit="degrees", flag="--angle-tolerance"
     )

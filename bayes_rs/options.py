@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,8 @@ from bayes_rs.errors import InputError
 
 _Class = TypeVar("_Class")
 _KEY = "bayes_rs option"
+_NO_NUMBERS = ("inf", "-inf", "nan")
+"""Numbers that JSON lacks: they are written as texts."""
 
 
 @dataclass(frozen=True)
@@ -146,10 +149,71 @@ def to_plain(options: Any) -> dict[str, Any]:
     return {entry.name: _plain(getattr(options, entry.name), entry.name) for entry in options_of(type(options))}
 
 
-def nearest(name: str, known: Mapping[str, Any]) -> str:
-    """Say which option was meant, or which there are."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?"[:-1] if close else f"the options are {', '.join(known)}"
+def about_option(cls: type, name: str) -> About:
+    """Return what an option of a class is."""
+    return next(entry.about for entry in options_of(cls) if entry.name == name)
+
+
+def check_plain(cls: type, values: Mapping[str, Any], *, where: str) -> None:
+    """Refuse values of a file that are of another type than their options are.
+
+    Raises
+    ------
+    InputError
+        For the first of them: a text where a number is wanted, say.
+    """
+    for entry in options_of(cls):
+        if entry.name in values and not _has_type(values[entry.name], entry.type):
+            words = " or ".join(dict.fromkeys(_KINDS[kind] for kind in _kinds(entry.type) if kind in _KINDS))
+            given = "true" if values[entry.name] is True else "false" if values[entry.name] is False else None
+            raise InputError(
+                f"Invalid {entry.name} {given or reprlib.repr(values[entry.name])} in {where}: it must be {words}."
+            )
+
+
+_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    list: "a list",
+    dict: "a table",
+}
+
+
+def _kinds(annotation: Any) -> list[type]:
+    """Return the types of plain values that an option takes."""
+    found: list[type] = []
+    union = get_origin(annotation) in (typing.Union, types.UnionType)
+    for kind in get_args(annotation) if union else (annotation,):
+        origin = get_origin(kind)
+        if origin is Mapping or (isinstance(kind, type) and is_dataclass(kind)):
+            found.append(dict)
+        elif origin in (Sequence, tuple):
+            found += [list, *([str] if str in get_args(kind) else [])]  # one text may stand for a list of one
+        elif kind in _KINDS:
+            found.append(kind)
+    return found
+
+
+def _has_type(value: Any, annotation: Any) -> bool:
+    kinds = _kinds(annotation)
+    if isinstance(value, bool):
+        return bool in kinds
+    if isinstance(value, int) or (isinstance(value, str) and value in _NO_NUMBERS):
+        return float in kinds or type(value) in kinds
+    return value is None or type(value) in kinds
+
+
+def nearest(name: str, known: Mapping[str, Any], elsewhere: Mapping[str, tuple[str, ...]] | None = None) -> str:
+    """Say which option was meant, or which there are; `elsewhere` are those of other sections, and their places."""
+    places = elsewhere or {}
+    names = list({**known, **places})
+    close = [one for one in names if one.startswith(f"{name}_")] or difflib.get_close_matches(name, names, n=1)
+    if not close:
+        return f"the options are {', '.join(known)}"
+    place = "" if close[0] in known else f" of section {'.'.join(places[close[0]])}"
+    return f"did you mean {close[0]!r}{place}"
 
 
 def _default(entry: Field[Any]) -> Any:
@@ -165,7 +229,7 @@ def _as_type(value: Any, annotation: Any, where: str) -> Any:
     if isinstance(value, Mapping) and is_dataclass(annotation):
         return from_plain(annotation, value, where=where)  # type: ignore[arg-type] # a class of options
     kinds = get_args(annotation) if get_origin(annotation) in (typing.Union, types.UnionType) else (annotation,)
-    if isinstance(value, str) and value in ("inf", "-inf", "nan") and float in kinds and str not in kinds:
+    if isinstance(value, str) and value in _NO_NUMBERS and float in kinds and str not in kinds:
         return float(value)
     if isinstance(value, list):
         return tuple(tuple(part) if isinstance(part, list) else part for part in value)

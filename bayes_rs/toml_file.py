@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -114,3 +116,23 @@ def shown(value: Any) -> str:
         return f"a table of {len(value)} keys" if isinstance(value, dict) else f"a list of {len(value)} entries"
     text = repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)
     return text if len(text) <= _SHOWN + 3 else f"{text[:_SHOWN]}…"
+
+
+def toml_value(value: Any) -> str:
+    """Return a plain value as TOML."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return repr(float(value))
+    if isinstance(value, Integral):
+        return str(int(value))
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's basic strings are JSON's
+
+
+def toml_key(key: str) -> str:
+    """Return a key as TOML, in quotes."""
+    return json.dumps(str(key), ensure_ascii=False)

@@ -13,15 +13,8 @@ from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS
-from bayes_rs.posteriors.sampling.chains import (
-    N_CHAIN,
-    N_ENSEMBLE,
-    N_WALKER,
-    Chains,
-    Effort,
-    diagnose_stress,
-    kept_draws,
-)
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 N_BURN_IN = 500

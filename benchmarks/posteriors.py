@@ -27,7 +27,7 @@ from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
-from bayes_rs.posteriors.sampling.chains import Effort
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.priors.registry import WeakPrior
 
 SCANS: dict[str, tuple[str, dict[str, float]]] = {

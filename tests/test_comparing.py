@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
-from bayes_rs.noise.theory import theory_noise
 
 from bayes_rs import InputError, compare, load_scan, load_turbulence, save_scan
 from bayes_rs.cli import main

@@ -4,120 +4,203 @@ import importlib
 import pkgutil
 import subprocess
 import sys
+from types import ModuleType
+
+import pytest
 
 import bayes_rs
 
 PUBLIC = [
-    "along_wind_spectra",
-    "average_spectra",
-    "estimate_instrument_noise",
-    "fit_spectra",
-    "plot_spectra",
-    "pool_length_scale",
-    "radial_spectra",
-    "with_instrument_noise",
-    "with_length_scale",
-    "write_report",
-    "beam_mean_covariance",
-    "lidar_frame_stress",
-    "mean_wind",
-    "pair_stresses",
-    "read_motion",
-    "reconstruct_pairs",
-    "remove_motion",
-    "wind_profile",
-    "with_motion",
-    "QualityRules",
-    "availability_table",
-    "ScanOptimum",
-    "optimize_scan",
-    "save_scan",
-    "find_scan",
-    "scan_criterion",
-    "enough_beams",
-    "compare",
-    "prior_sensitivity",
-    "directions",
-    "direction_words",
-    "Campaign",
-    "fit_campaign",
-    "run_folder_fit",
-    "stream_records",
-    "LongOutcome",
-    "read_summary",
-    "WorkerError",
-    "Nuisances",
-    "compare_inflow",
-    "inflow_confounding",
-    "inflow_in_words",
-    "PulsedProbe",
-    "PointProbe",
-    "ContinuousWaveProbe",
-    "plan",
-    "Step",
-    "Plan",
-    "theory_bank",
-    "LineMaker",
-    "gap_noise",
-    "FlatPrior",
-    "GaussianPrior",
-    "MannPrior",
-    "RatioPrior",
-    "SamplePrior",
+    "Fit",
+    "FitOptions",
     "InputError",
+    "LostResultsError",
     "MannTurbulence",
     "MissingExtraError",
-    "NoiseBank",
+    "Noise",
     "NoiseMismatchError",
-    "NoiseModel",
     "NotPositiveDefiniteError",
+    "Nuisances",
     "Prior",
-    "RecordNoise",
+    "QualityRules",
     "STRESSES",
     "Scan",
-    "Sight",
-    "WeakPrior",
+    "Settings",
+    "WorkerError",
     "__version__",
-    "calibrate",
+    "compare",
+    "compare_inflow",
     "demo_file",
-    "describe_report",
-    "design_matrix",
+    "design",
     "estimate",
-    "cross_spectra",
-    "find_shipped_noise",
-    "fit_turbulence",
-    "sonic_moments",
-    "velocity_covariance",
+    "find_scan",
     "fit",
-    "flag_words",
-    "is_realizable",
-    "load_noise",
+    "fit_files",
+    "geometry",
+    "inflow_confounding",
     "load_scan",
     "load_turbulence",
-    "make_prior",
     "make_records",
-    "noise_for_records",
-    "open_result",
-    "pack_stress",
-    "corner",
-    "lumley",
-    "stresses",
-    "principal_variances",
-    "radial_variance",
+    "noise",
+    "open_fit",
+    "optimize_scan",
+    "plan",
+    "plot",
+    "prior_sensitivity",
+    "priors",
+    "quality",
     "read",
-    "read_statistics",
-    "rotate_stress",
-    "run_fit",
-    "sight",
+    "readers",
+    "records",
+    "save_scan",
     "simulate",
-    "summary",
-    "theory_noise",
-    "unpack_stress",
+    "spectra",
+    "turbulence",
+    "wind",
+    "write_report",
 ]
+SUBJECTS = {
+    "design": [
+        "CompareOptions",
+        "CriterionOptions",
+        "Plan",
+        "ScanLimits",
+        "ScanOptimum",
+        "Step",
+        "compare",
+        "enough_beams",
+        "estimate",
+        "optimize_scan",
+        "plan",
+        "plot_comparison",
+        "scan_criterion",
+    ],
+    "geometry": [
+        "ContinuousWaveProbe",
+        "PointProbe",
+        "Probe",
+        "PulsedProbe",
+        "STRESSES",
+        "Scan",
+        "Sight",
+        "as_scan",
+        "design_matrix",
+        "is_realizable",
+        "load_scan",
+        "make_probe",
+        "pack_stress",
+        "principal_variances",
+        "radial_variance",
+        "rotate_stress",
+        "save_scan",
+        "sight",
+        "unpack_stress",
+    ],
+    "noise": [
+        "Boxes",
+        "Noise",
+        "RecordNoise",
+        "SonicMoments",
+        "SonicNoise",
+        "calibrate",
+        "load",
+        "sonic_moments",
+        "theory",
+    ],
+    "plot": ["corner", "lumley", "stresses"],
+    "priors": [
+        "FlatPrior",
+        "GaussianPrior",
+        "MannPrior",
+        "PRIORS",
+        "Prior",
+        "RatioPrior",
+        "SamplePrior",
+        "WeakPrior",
+        "make_prior",
+    ],
+    "quality": [
+        "ALWAYS_LISTED",
+        "BeamSamples",
+        "Filtered",
+        "MAD_TO_SIGMA",
+        "Periodicity",
+        "QualityRules",
+        "apply_filters",
+        "find_periodicity",
+        "group_median",
+        "group_moments",
+        "in_sectors",
+        "is_spike",
+    ],
+    "readers": [
+        "FileFormat",
+        "FileOptions",
+        "READERS",
+        "Rays",
+        "Reader",
+        "Samples",
+        "find_scan",
+        "read",
+        "read_statistics",
+        "stream",
+    ],
+    "records": [
+        "BEAM_FLAGS",
+        "RECORD_FLAGS",
+        "REMARK_FLAGS",
+        "RecordOptions",
+        "StoredRecords",
+        "availability_table",
+        "describe_report",
+        "make_records",
+        "open_record_files",
+        "open_records",
+        "store_records",
+        "stream_records",
+    ],
+    "spectra": [
+        "along_wind_spectra",
+        "average_spectra",
+        "estimate_instrument_noise",
+        "fit_spectra",
+        "plot_spectra",
+        "pool_length_scale",
+        "radial_spectra",
+        "with_instrument_noise",
+        "with_length_scale",
+    ],
+    "turbulence": ["MannTurbulence", "cross_spectra", "fit", "load", "velocity_covariance"],
+    "wind": [
+        "add_motion",
+        "beam_mean_covariance",
+        "mean_wind",
+        "pair_stresses",
+        "read_motion",
+        "reconstruct_pairs",
+        "remove_motion",
+        "wind_profile",
+        "with_motion",
+    ],
+}
+"""The names of each subject."""
 
 
 def test_the_public_names_are_these():
     assert sorted(bayes_rs.__all__) == sorted(PUBLIC)
+    assert len(PUBLIC) <= 60
+
+
+def test_the_subjects_are_these():
+    assert {name for name in PUBLIC if isinstance(getattr(bayes_rs, name), ModuleType)} == set(SUBJECTS)
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_the_names_of_a_subject_are_these(subject):
+    package = getattr(bayes_rs, subject)
+    assert sorted(package.__all__) == sorted(SUBJECTS[subject])
+    for name in SUBJECTS[subject]:
+        assert getattr(package, name) is not None
 
 
 def test_every_public_name_can_be_had():
@@ -125,18 +208,29 @@ def test_every_public_name_can_be_had():
         assert getattr(bayes_rs, name) is not None
 
 
-def test_no_module_has_the_name_of_something_public():
+@pytest.mark.parametrize("subject", ["", *SUBJECTS])
+def test_no_module_has_the_name_of_something_public(subject):
     """Importing a module sets it on the package, where it would hide the function of that name."""
-    modules = {module.name for module in pkgutil.iter_modules(bayes_rs.__path__)}
-    assert modules.isdisjoint(PUBLIC)
+    package = getattr(bayes_rs, subject) if subject else bayes_rs
+    modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
+    assert modules.isdisjoint(set(package.__all__) - set(SUBJECTS if not subject else ()))
 
 
 def test_names_stay_what_they_are_when_all_modules_are_imported():
-    before = {name: getattr(bayes_rs, name) for name in PUBLIC}
+    def names():
+        of_subjects = {
+            (subject, name): getattr(getattr(bayes_rs, subject), name)
+            for subject in SUBJECTS
+            for name in SUBJECTS[subject]
+        }
+        return {**{name: getattr(bayes_rs, name) for name in PUBLIC}, **of_subjects}
+
+    before = names()
     for module in pkgutil.walk_packages(bayes_rs.__path__, "bayes_rs."):
         if not module.name.endswith("__main__"):  # that one runs the program
             importlib.import_module(module.name)
-    assert {name: getattr(bayes_rs, name) for name in PUBLIC} == before
+    after = names()
+    assert all(after[name] is before[name] for name in before)
 
 
 def test_the_command_line_does_not_load_the_science_for_its_help():

@@ -77,7 +77,7 @@ class TestContent:
             "one: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=10.0)\n"
             "bank: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=[8.0, 12.0])\n"
             "again: brs.Noise = brs.noise.calibrate(up, flow, wind_speed=10.0, yaw_deg=[0.0, 20.0])\n"
-            "corner(brs.open_result('folder')).savefig('corner.png')\n"
+            "brs.plot.corner(brs.open_fit('folder')).savefig('corner.png')\n"
         )
         command = [sys.executable, "-m", "mypy", "--config-file=", "--follow-imports=silent", "use.py"]
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)  # noqa: S603 - our own

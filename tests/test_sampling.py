@@ -14,8 +14,9 @@ from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS, sample
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Effort
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
 from bayes_rs.posteriors.sampling.direct import sample_direct
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.ensemble import RecordSampler
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams

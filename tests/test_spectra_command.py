@@ -88,16 +88,16 @@ def test_the_measured_day(iea_folder):
     scan = brs.load_scan("pulsed-4-beam")
     series = brs.read(sorted(iea_folder.glob("Lidar_*_LOS?_178m.csv")), scan)
     records = brs.make_records(series, scan)
-    day = brs.radial_spectra(series, scan, records)
+    day = brs.spectra.radial_spectra(series, scan, records)
     assert day.attrs["interval"] == pytest.approx(4.0, rel=0.01)
     both = records["flag"].values == 0
     assert day["variance"].values[both] == pytest.approx(records["variance"].values[both], rel=1e-3)
-    fit = brs.fit_spectra(day, scan, progress=False)
+    fit = brs.spectra.fit_spectra(day, scan)
     assert np.isfinite(fit["length_scale"].values).sum() >= 140
-    pooled = brs.pool_length_scale(fit)
+    pooled = brs.spectra.pool_length_scale(fit)
     assert 15.0 < float(pooled["length_scale"][0]) < 400.0
     # a pulsed lidar's gate takes what is high in frequency: the averaged spectrum falls in the upper decade
-    averages = brs.average_spectra(day)
+    averages = brs.spectra.average_spectra(day)
     slope = np.polyfit(np.log(averages["frequency"][-8:]), np.log(averages["spectrum"].values[:, -8:]).T, 1)[0]
     assert np.all((slope < -0.8) & (slope > -3.0))
 
@@ -121,11 +121,11 @@ def test_the_measured_hour(six_beam_hour):
         coords={"time": ("sample", measured["time"].values[good]), "beam": ("sample", number[good])},
     )
     records = brs.make_records(series, scan, min_availability=0.5)
-    hour = brs.radial_spectra(series, scan, records)
+    hour = brs.spectra.radial_spectra(series, scan, records)
     assert hour.attrs["interval"] == pytest.approx(30.2, rel=0.02)
     assert float(hour["timing_spread"].max()) < 0.25
-    fit = brs.fit_spectra(hour, scan, progress=False)
+    fit = brs.spectra.fit_spectra(hour, scan)
     # twenty samples, 30 s apart: every record says little more than the prior, whose width is 0.8
     assert np.nanmin(fit["length_scale_log_sd"].values) > 0.3
-    found = brs.estimate_instrument_noise(hour, scan, brs.load_turbulence("fu-2022"))
+    found = brs.spectra.estimate_instrument_noise(hour, scan, brs.load_turbulence("fu-2022"))
     assert np.mean(found["flag"].values[np.isfinite(found["instrument_noise"].values)] & 4 > 0) > 0.5

@@ -10,7 +10,7 @@ import click
 
 from bayes_rs._version import __version__
 
-EXIT_FAILURES = 1
+EXIT_NOT_WHOLE = 1
 EXIT_BAD_INPUT = 2
 
 
@@ -32,10 +32,14 @@ def main() -> None:
         click.echo("bayes-rs: interrupted.", err=True)
         _echo_notes(error.__cause__ or error.__context__)
         code = 130
-    except (InputError, LostResultsError, MissingExtraError, WorkerError, OSError) as error:
+    except LostResultsError as error:
         click.echo(f"bayes-rs: {_one_line(error)}", err=True)
         _echo_notes(error)
-        code = EXIT_FAILURES if isinstance(error, LostResultsError) else EXIT_BAD_INPUT
+        code = EXIT_NOT_WHOLE
+    except (InputError, MissingExtraError, WorkerError, OSError) as error:
+        click.echo(f"bayes-rs: {_one_line(error)}", err=True)
+        _echo_notes(error)
+        code = EXIT_BAD_INPUT
     sys.exit(code)
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
-from bayes_rs.cli.records_of_files import records_and_scan
+from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
+from bayes_rs.cli.records_of_files import exit_if_skipped, records_and_scan
 
 if TYPE_CHECKING:
     from bayes_rs.noise.noise import Noise
@@ -19,7 +19,7 @@ _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_de
 @click.command()
 @click.option("-o", "--output", default="bayes-rs-demo", show_default=True, help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier demo.")
-@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("--seed", type=int, default=1, show_default=True, help="Same seed, same numbers.")
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
     from bayes_rs.cli.demo_job import run_demo
@@ -46,7 +46,7 @@ def scans() -> None:
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options("scan", "files", "records", "quality")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
@@ -59,6 +59,7 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
         made, _ = records_and_scan(settings)
         write_netcdf(made, part)
     click.echo(f"{made.sizes['record']} records in {output}")
+    exit_if_skipped(made)
 
 
 @click.command(cls=GroupedCommand)
@@ -70,9 +71,14 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
     "fit",
     only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence",), "fit": ("prior", "target_ess")},
 )
-@click.option("--wind-speed", type=float, default=10.0, show_default=True, help="Mean wind speed, m/s.")
+@click.option(
+    "--wind-speed", type=float, metavar="NUMBER", default=10.0, show_default=True, help="Mean wind speed, m/s."
+)
 def plan(scan: str, wind_speed: float, **options: Any) -> None:
-    """Say what a scene needs computed, what is skipped and why, and what bounds the error."""
+    """Say what a scene needs computed, what is skipped and why, and what bounds the error.
+
+    SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
+    """
     from bayes_rs.design.planning import plan as make_plan
     from bayes_rs.turbulence.mann import load_turbulence
 
@@ -97,12 +103,20 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
     "noise",
     only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence", "noise_method")},
 )
-@click.option("--wind-speed", type=float, multiple=True, required=True, help="Mean wind speed, m/s; several states.")
+@click.option(
+    "--wind-speed",
+    type=float,
+    metavar="NUMBER",
+    multiple=True,
+    required=True,
+    help="Mean wind speed, m/s; may be repeated, for several states of the wind.",
+)
 @click.option(
     "--noise-yaw",
     type=float,
+    metavar="NUMBER",
     multiple=True,
-    help="Wind direction relative to the lidar axis, degrees; several states.",
+    help="Wind direction relative to the lidar axis, degrees; by default that of the scan. May be repeated.",
 )
 @click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
 @click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
@@ -120,13 +134,18 @@ def calibrate(
     overwrite: bool,
     **options: Any,
 ) -> None:
-    """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`."""
+    """Calibrate the noise of a scan's beam variances, and write it to a file for `fit --noise`.
+
+    SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
+    """
     from bayes_rs.noise.box_noise import Boxes
     from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
 
     settings = settings_of((), {"scan": scan, **options})
     method = settings.noise.noise_method
+    if method != "boxes":
+        refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --noise-method boxes.")
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
             settings.scan.load(),

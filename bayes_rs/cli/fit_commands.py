@@ -8,25 +8,28 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_without_effect, settings_of, settings_options
-from bayes_rs.cli.records_of_files import records_and_scan
+from bayes_rs.cli.options import GroupedCommand, refuse_beside_noise, refuse_for_records, settings_of, settings_options
+from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_skipped, records_and_scan
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_object import Fit
 
-EXIT_FLAGGED = 1
-
 
 @click.command(cls=GroupedCommand)
-@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml|run.json")
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml|run.json", type=click.Path())
 @settings_options("scan", "files", "records", "quality", "noise", "fit", "output")
-@click.option("--save-settings", metavar="FILE", help="Write the settings to a TOML file, before the work begins.")
+@click.option(
+    "--save-settings",
+    metavar="FILE",
+    type=click.Path(),
+    help="Write all these settings to a TOML file before the work begins; `bayes-rs fit FILE` repeats them.",
+)
 def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> None:
     """Estimate the Reynolds stresses of every record, with credible intervals.
 
-    FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote: of a year, one
-    file a month, say. Instead of them, a settings file, or the run.json of an earlier run, which is repeated; options
-    on the command line count before what it says.
+    FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote. In place of
+    them, or before them, a settings file, or the run.json of an earlier run, which is repeated: options and files on
+    the command line count before what it says.
     """
     from bayes_rs.fits.from_files import fit_files
     from bayes_rs.output import check_output_folder
@@ -36,12 +39,15 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     output = settings.output.output
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output': name a folder for the results.")
-    if save_settings is not None:
-        settings.save(save_settings)
+    refuse_beside_noise(settings)
     if not settings.output.resume:
         check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
-    if open_record_files(settings.files.files, settings.scan.load()) is not None:
-        refuse_without_effect(settings.files.files)
+    if settings.files.files and open_record_files(settings.files.files, settings.scan.load()) is not None:
+        refuse_for_records(settings.files.files)
+    if save_settings is not None:
+        if Path(save_settings).exists():
+            raise click.UsageError(f"File {save_settings!r} exists, and --save-settings replaces none: give another.")
+        settings.save(save_settings)
     found = fit_files(settings, say=lambda line: click.echo(line, err=True))
     draw_pictures(found, Path(output))
     _tell(found, output)
@@ -84,12 +90,13 @@ def _tell(found: Fit, output: str) -> None:
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options("scan", "files", "records", "quality", "noise", "fit", without=("derived", "draws"))
 @click.option(
     "--factor",
     "factors",
     type=float,
+    metavar="NUMBER",
     multiple=True,
     default=(0.5, 2.0),
     show_default=True,
@@ -113,6 +120,7 @@ def sensitivity(
         click.echo(line, err=True)
 
     settings = settings_of(files, options)
+    refuse_beside_noise(settings)
     own = settings.fit
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
         made, scan = records_and_scan(settings)
@@ -137,6 +145,7 @@ def sensitivity(
         click.echo(line)
     if output is not None:
         click.echo(f"table in {output}")
+    exit_if_skipped(made)
 
 
 @click.command()

@@ -15,7 +15,7 @@ from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-_TITLES = {
+TITLES = {
     "scan": "Scan",
     "files": "Files of radial velocities",
     "records": "Records",
@@ -25,20 +25,23 @@ _TITLES = {
     "nuisances": "What is uncertain beside R",
     "output": "Output",
 }
+"""Titles of the sections in the help."""
 _MOST_NAMED = 12
-"""Values that the help of an option names."""
+"""Values that the help of an open option names."""
+_LONGEST_CHOICE = 30
+"""Characters up to which choices stand behind the option itself, and not in its help."""
 _MADE_OF_SERIES = ("files", "records", "quality")
 """Sections that are of no use where the files hold records that were made before."""
 
 
 class GroupedCommand(click.Command):
-    """A command whose help lists its options by section."""
+    """A command whose help lists its options by section, its own last."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, those of each section under its title."""
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
+            record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
             if record is not None:
                 groups.setdefault(getattr(parameter, "group", "Options"), []).append(record)
         for title in sorted(groups, key=lambda title: title == "Options"):
@@ -46,13 +49,19 @@ class GroupedCommand(click.Command):
                 formatter.write_dl(groups[title])
 
 
-class SettingsOption(click.Option):
-    """An option of a command that is one of the settings."""
+class FieldOption(click.Option):
+    """An option of a command that is a field of a class of options."""
 
     def __init__(self, *names: str, group: str, **attributes: Any) -> None:
         """Take the title of its section, beside what any option takes."""
         super().__init__(list(names), **attributes)
         self.group = group
+
+
+class Number(click.types.FloatParamType):
+    """A number."""
+
+    name = "number"
 
 
 class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
@@ -103,8 +112,23 @@ class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
         param: click.Parameter,  # noqa: ARG002 - as above
         incomplete: str,
     ) -> list[CompletionItem]:
-        """Complete the entries of the list."""
-        return [CompletionItem(word) for word in self.choices() if word.startswith(incomplete)]
+        """Complete the entries of the list, and files."""
+        words = [CompletionItem(word) for word in self.choices() if word.startswith(incomplete)]
+        return words or [CompletionItem(incomplete, type="file")]
+
+
+class Range(click.ParamType):  # type: ignore[type-arg] # as above
+    """Two numbers, FROM:TO."""
+
+    name = "range"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        """Return the two numbers."""
+        try:
+            start, end = (float(part) for part in value.split(":"))
+        except ValueError:
+            self.fail(f"Invalid range {value!r}: write it as FROM:TO, such as 200:340.", param, ctx)
+        return start, end
 
 
 def settings_options(
@@ -123,17 +147,16 @@ def settings_options(
     """
 
     def decorate(command: _Command) -> _Command:
-        made: list[SettingsOption] = []
+        made: list[FieldOption] = []
         for section in sections:
             wanted = None if only is None else only.get(section)
             for entry in options_of(SECTIONS[section]):
                 if entry.name in without or (wanted is not None and entry.name not in wanted):
                     continue
                 nested = options_of(entry.type) if isinstance(entry.type, type) and is_dataclass(entry.type) else []
-                if nested:
-                    made += [_option(one, _TITLES.get(entry.name, entry.name)) for one in nested if one.flag]
-                elif entry.flag:
-                    made.append(_option(entry, _TITLES[section]))
+                made += [field_option(one, TITLES[entry.name]) for one in nested if one.flag]
+                if entry.flag and not nested:
+                    made.append(field_option(entry, TITLES[section]))
         parameters = getattr(command, "__click_params__", [])
         command.__click_params__ = [*parameters, *reversed(made)]  # type: ignore[attr-defined] # as click keeps them
         return command
@@ -145,7 +168,7 @@ def class_options(*classes: tuple[type, str]) -> Callable[[_Command], _Command]:
     """Return a decorator that gives a command the options of classes of options, each with the title of its group."""
 
     def decorate(command: _Command) -> _Command:
-        made = [_option(entry, title) for cls, title in classes for entry in options_of(cls) if entry.flag]
+        made = [field_option(entry, title) for cls, title in classes for entry in options_of(cls) if entry.flag]
         parameters = getattr(command, "__click_params__", [])
         command.__click_params__ = [*parameters, *reversed(made)]  # type: ignore[attr-defined] # as click keeps them
         return command
@@ -159,7 +182,8 @@ def settings_of(files: Sequence[str], options: Mapping[str, Any]) -> Settings:
     Parameters
     ----------
     files : sequence of str
-        The command's arguments: files, or one settings file (``.toml``) or `run.json`.
+        The command's arguments: files; or first a settings file (``.toml``) or `run.json`, and then files that count
+        in place of those that it names.
     options : mapping
         Values of the command's options by name; None and empty where they were not given.
 
@@ -169,57 +193,104 @@ def settings_of(files: Sequence[str], options: Mapping[str, Any]) -> Settings:
         If the settings file, or an option, is not valid.
     """
     given = {name: value for name, value in options.items() if value is not None and value != ()}
-    if len(files) == 1 and Path(files[0]).suffix in (".toml", RUN_SUFFIX):
-        settings = Settings.load(files[0])
-        if any(entry.name in given for entry in options_of(ScanOptions)):
-            given["scan_toml"] = None  # what the command line says of the scan counts
-    else:
-        settings = Settings().changed(files=tuple(files))
+    if not files or Path(files[0]).suffix not in (".toml", RUN_SUFFIX):
+        return Settings().changed(files=tuple(files), **given)
+    settings = Settings.load(files[0])
+    if any(entry.name in given for entry in options_of(ScanOptions)):
+        given["scan_toml"] = None  # what the command line says of the scan counts
+    if files[1:]:
+        given["files"] = tuple(files[1:])
     return settings.changed(**given)
 
 
-def refuse_without_effect(files: Sequence[str]) -> None:
-    """Refuse options of reading, or of making records, for records that were made before: they would do nothing.
+def given_options() -> list[click.Option]:
+    """Return the options that stand on the command line."""
+    context = click.get_current_context()
+    return [
+        parameter
+        for parameter in context.command.params
+        if isinstance(parameter, click.Option)
+        and context.get_parameter_source(str(parameter.name)) is click.core.ParameterSource.COMMANDLINE
+    ]
+
+
+def refuse_given(names: Sequence[str], why: str) -> None:
+    """Refuse options that stand on the command line and would do nothing.
+
+    Raises
+    ------
+    UsageError
+        If there is one; `why` follows its name.
+    """
+    without = [option.opts[0] for option in given_options() if option.name in names]
+    if without:
+        raise click.UsageError(f"{', '.join(without)}: {why}")
+
+
+def refuse_for_records(files: Sequence[str]) -> None:
+    """Refuse options of reading, or of making records, for records that were made before.
 
     Raises
     ------
     UsageError
         If there is one on the command line.
     """
-    context = click.get_current_context()
-    without = [
-        parameter.opts[0]
-        for parameter in context.command.params
-        if getattr(parameter, "group", "") in {_TITLES[name] for name in _MADE_OF_SERIES}
-        and parameter.name not in ("motion", "motion_columns")
-        and context.get_parameter_source(str(parameter.name)) is click.core.ParameterSource.COMMANDLINE
-    ]
-    if without:
-        raise click.UsageError(
-            f"{', '.join(without)}: for radial velocities only, and {files[0]!r} holds records that were made before: "
-            "leave it out, or give the files of radial velocities."
+    names = {entry.name for section in _MADE_OF_SERIES for entry in options_of(SECTIONS[section])}
+    refuse_given(
+        sorted(names - {"motion", "motion_columns"}),
+        f"for radial velocities only, and {files[0]!r} holds records that were made before: leave it out, or give the "
+        "files of radial velocities.",
+    )
+
+
+def refuse_beside_noise(settings: Settings) -> None:
+    """Refuse options that say how noise is made, where a noise file is given.
+
+    Raises
+    ------
+    UsageError
+        If there is one on the command line.
+    """
+    if settings.noise.noise is not None:
+        refuse_given(
+            ("turbulence", "noise_method"),
+            f"it says how noise is made, and the noise of {settings.noise.noise!r} is given: leave one of them out.",
         )
 
 
-def _option(entry: Option, group: str) -> SettingsOption:
-    """Return the command line's option of one of the settings."""
+def field_option(entry: Option, group: str) -> FieldOption:
+    """Return the command line's option that a field of a class of options says.
+
+    Parameters
+    ----------
+    entry : Option
+        The field.
+    group : str
+        Title of its section in the help.
+    """
     kinds = _kinds(entry.type)
     names = [entry.name, entry.flag, *(["-o"] if entry.name == "output" else [])]
-    attributes: dict[str, Any] = {"default": None, "help": _help(entry), "group": group}
+    container = next((kind for kind in kinds if get_origin(kind) in (tuple, Mapping, Sequence)), None)
+    origin = get_origin(container)
+    pair = origin is tuple and ... not in get_args(container)
+    several = container is not None and not pair
+    attributes: dict[str, Any] = {"default": None, "help": _help(entry, several=several), "group": group}
     if entry.about.metavar:
         attributes["metavar"] = entry.about.metavar
-    container = next((kind for kind in kinds if get_origin(kind) in (tuple, Mapping, Sequence)), None)
     if bool in kinds:
-        return SettingsOption(*names, is_flag=True, **attributes)
-    if container is not None and get_origin(container) is tuple:
+        if type(None) in get_args(entry.type):
+            names[1] = f"{entry.flag}/--no-{entry.flag.removeprefix('--')}"
+        return FieldOption(*names, is_flag=True, **attributes)
+    if pair:
         attributes.setdefault("metavar", "LOW HIGH")
-        return SettingsOption(*names, type=get_args(container), nargs=2, **attributes)
-    if container is not None and get_origin(container) is Mapping:
+        return FieldOption(*names, type=get_args(container), nargs=2, **attributes)
+    if origin is Mapping:
         value = get_args(container)[1]
-        return SettingsOption(*names, multiple=True, callback=_pairs(entry, value), **attributes)
-    if container is not None:
-        return SettingsOption(*names, multiple=True, type=_type(entry, list(get_args(container))), **attributes)
-    return SettingsOption(*names, type=_type(entry, kinds), **attributes)
+        return FieldOption(*names, multiple=True, callback=_pairs(entry, value), **attributes)
+    if not entry.about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
+        attributes.setdefault("metavar", "NAME")
+    kind = _type(entry, list(get_args(container)) if several else kinds)
+    return FieldOption(*names, multiple=several, type=kind, **attributes)
 
 
 def _kinds(annotation: Any) -> list[Any]:
@@ -230,27 +301,39 @@ def _kinds(annotation: Any) -> list[Any]:
 
 def _type(entry: Option, kinds: list[Any]) -> Any:
     plain: list[Any] = [part for kind in kinds for part in _kinds(kind)]
-    if float in plain and str in plain:
-        return NumberOrWord(entry.about.unit, entry.choices)
+    if entry.about.metavar == "FROM:TO":
+        return Range()
     if float in plain:
-        return click.FLOAT
+        return NumberOrWord(entry.about.unit, entry.choices) if str in plain else Number()
     if int in plain:
         return click.INT
     if not entry.about.choices:
-        return click.STRING
+        return click.Path() if entry.about.metavar in ("FILE", "FOLDER") else click.STRING
     return OpenChoice(lambda: entry.choices) if entry.about.open else click.Choice(entry.choices)
 
 
-def _help(entry: Option) -> str:
-    about = entry.about
-    unit = f", {about.unit}" if about.unit else ""
-    named = f": {', '.join(entry.choices)}" if about.open and len(entry.choices) <= _MOST_NAMED else ""
+def _help(entry: Option, *, several: bool) -> str:
+    """Return an option's help: what it does, what it may be, its unit and default."""
+    about, text = entry.about, entry.about.help.rstrip(".")
+    if about.open and len(entry.choices) <= _MOST_NAMED:
+        text += f" ({', '.join(entry.choices)})"
+    elif not about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
+        text += f": {', '.join(entry.choices)}"
     default = entry.default
-    shown = "" if default is None or default is False or default in ((), {}) else f"  [default: {_shown(default)}]"
-    return f"{about.help.rstrip('.')}{named}{unit}.{shown}"
+    has_default = default is not None and default is not False and default not in ((), {}, "")
+    extra = "; ".join(
+        [
+            *([about.unit] if about.unit else []),
+            *(["may be repeated"] if several else []),
+            *([f"default: {_shown(default)}"] if has_default else []),
+        ]
+    )
+    return f"{text}.  [{extra}]" if extra else f"{text}."
 
 
 def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return ", ".join(_shown(one) for one in default)
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
@@ -261,8 +344,10 @@ def _pairs(entry: Option, value: type) -> Callable[[click.Context, click.Paramet
         found: dict[str, Any] = {}
         for text in texts:
             name, equals, what = text.partition("=")
-            if not equals:
+            if not equals or not name:
                 raise click.UsageError(f"{entry.flag} {text!r}: write it as {entry.about.metavar or 'NAME=VALUE'}.")
+            if name in found:
+                raise click.UsageError(f"{entry.flag} {text!r}: {name!r} is given twice.")
             try:
                 found[name] = value(what)
             except ValueError:

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from typing import TYPE_CHECKING
 
 import click
 
-from bayes_rs.cli.options import refuse_without_effect
+from bayes_rs.cli.options import refuse_for_records
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from bayes_rs.fits.settings import Settings
     from bayes_rs.geometry.scan import Scan
+
+EXIT_FLAGGED = 1
+"""Exit code of what is done, with failures that are listed."""
+
+
+def exit_if_skipped(dataset: xr.Dataset) -> None:
+    """Name the files that were skipped because they could not be used, and exit with 1; else do nothing."""
+    skipped = json.loads(dataset.attrs.get("read_report", "{}")).get("files_skipped", [])
+    for file in skipped:
+        click.echo(f"file {file['name']}: {file['reason']}", err=True)
+    if skipped:
+        sys.exit(EXIT_FLAGGED)
 
 
 def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
@@ -22,7 +36,7 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     scan = settings.scan.load()
     made = open_record_files(settings.files.files, scan)
     if made is not None:
-        refuse_without_effect(settings.files.files)
+        refuse_for_records(settings.files.files)
         return made, scan
     return records_of(series_of(settings, scan), scan, settings), scan
 

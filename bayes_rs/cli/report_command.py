@@ -14,7 +14,10 @@ import click
 )
 @click.option("--title", help="Heading of the page; by default the scan and the period.")
 @click.option(
-    "--prob", type=float, help="Probability of the credible intervals; by default that of the fit. Needs the draws."
+    "--prob",
+    type=float,
+    metavar="NUMBER",
+    help="Probability of the credible intervals; by default that of the fit. Needs the draws.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing report.")
 def report(folder: Path, output: Path | None, title: str | None, prob: float | None, overwrite: bool) -> None:

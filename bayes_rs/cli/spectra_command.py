@@ -8,11 +8,11 @@ from typing import Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
-from bayes_rs.cli.records_of_files import records_of, series_of
+from bayes_rs.cli.records_of_files import exit_if_skipped, records_of, series_of
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
 @click.option(
     "--length-scale-prior",
@@ -22,12 +22,18 @@ from bayes_rs.cli.records_of_files import records_of, series_of
     help="Median of the length scale, m, and standard deviation of its logarithm.",
 )
 @click.option(
-    "--instrument-noise", type=float, default=0.0, show_default=True, help="Expected instrument noise, m² s⁻²."
+    "--instrument-noise",
+    type=float,
+    metavar="NUMBER",
+    default=0.0,
+    show_default=True,
+    help="Expected instrument noise, m² s⁻².",
 )
 @click.option(
     "--instrument-noise-sd",
     "floor_sd",
     type=float,
+    metavar="NUMBER",
     help="Its standard deviation, m² s⁻²; 0 if it is known. By default 20 % of each variance.",
 )
 @click.option("--tapers", type=int, default=0, show_default=True, help="Sine tapers; 0 is the plain periodogram.")
@@ -74,3 +80,4 @@ def spectra(
         say=click.echo,
     )
     click.echo(f"results in {output}")
+    exit_if_skipped(made)

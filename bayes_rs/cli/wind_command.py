@@ -7,15 +7,26 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
-from bayes_rs.cli.records_of_files import records_and_scan
+from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
+from bayes_rs.cli.records_of_files import exit_if_skipped, records_and_scan
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml")
+@click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
-@click.option("--heading", "heading_deg", type=float, help="Where the lidar looks, degrees clockwise from north.")
-@click.option("--hub-height", type=float, help="Height of the lidar above the ground, m; with it a profile is fitted.")
+@click.option(
+    "--heading",
+    "heading_deg",
+    type=float,
+    metavar="NUMBER",
+    help="Where the lidar looks, degrees clockwise from north.",
+)
+@click.option(
+    "--hub-height",
+    type=float,
+    metavar="NUMBER",
+    help="Height of the lidar above the ground, m; with it a profile is fitted.",
+)
 @click.option(
     "--law",
     type=click.Choice(["power", "log", "linear"]),
@@ -44,6 +55,8 @@ def wind(
     from bayes_rs.wind.profile import wind_profile
 
     settings = settings_of(files, options)
+    if hub_height is None:
+        refuse_given(("law",), "it is of the profile, which is fitted where --hub-height is given: add that.")
     with output_file(output, overwrite=overwrite) as part:
         made, scan = records_and_scan(settings)
         flow = load_turbulence(settings.noise.turbulence)
@@ -63,3 +76,4 @@ def wind(
         f"{len(table)} records; median standard deviation of the wind speed {middle['wind_speed_sd']:.2f} m/s, of its "
         f"direction {middle['yaw_sd']:.1f}°; table in {output}"
     )
+    exit_if_skipped(made)

@@ -30,10 +30,13 @@ class CompareOptions:
         If a value is not valid.
     """
 
-    turbulence: str | MannTurbulence | Sequence[str | MannTurbulence] = option(
-        "fu-2022", "Turbulence of the flow, by its name or file; of several, each is a case of its own"
+    turbulence: str | MannTurbulence | tuple[str | MannTurbulence, ...] = option(
+        "fu-2022",
+        "Turbulence of the flow, by its name or file; of several, each is a case of its own",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
     )
-    prior: str | Prior | Sequence[str | Prior] = option(
+    prior: str | Prior | tuple[str | Prior, ...] = option(
         "weak", "Prior; of several, each is a case of its own", choices="bayes_rs.priors.registry:PRIORS", open=True
     )
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")

@@ -52,8 +52,11 @@ class CriterionOptions:
         flag="--stress",
         metavar="STRESS[=WEIGHT]",
     )
-    turbulence: str | MannTurbulence | Sequence[str | MannTurbulence] = option(
-        "fu-2022", "Turbulence of the flow, by its name or file; of several, the worst case counts"
+    turbulence: str | MannTurbulence | tuple[str | MannTurbulence, ...] = option(
+        "fu-2022",
+        "Turbulence of the flow, by its name or file; of several, the worst case counts",
+        choices="bayes_rs.models:TURBULENCES",
+        open=True,
     )
     prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS", open=True)
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")

@@ -29,6 +29,7 @@ from bayes_rs.fits.tables import names_of_part, part_names, read_table, write_ta
 from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_check import check_netcdf
@@ -36,6 +37,8 @@ from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 PRIOR_FILE = "prior.parquet"
 RECORDS_FILE = "records.nc"
+NOISE_FILE = "noise.nc"
+"""The noise of a fit that was given one: with it and the records the folder repeats the fit."""
 ARVIZ_FILE = "posterior.nc"
 PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
@@ -51,6 +54,7 @@ def fit_into(
     workers: int = 1,
     client: Any = None,
     progress: bool | None = None,
+    noise: Noise | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> None:
     """Do what a plan has left to do in a folder, and finish it.
@@ -63,6 +67,8 @@ def fit_into(
         From `plan_fit`.
     workers, client, progress
         As for `fit`.
+    noise : Noise, optional
+        Noise that was given, which is kept in the folder.
     more : mapping, optional
         What else `run.json` says.
 
@@ -86,6 +92,8 @@ def fit_into(
     try:
         if folder.damage(PRIOR_FILE):
             write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
+        if noise is not None and folder.damage(NOISE_FILE):
+            folder.write(NOISE_FILE, noise.save)
         if folder.damage(RECORDS_FILE):
             folder.write(RECORDS_FILE, partial(write_netcdf, plan.records))
         with (

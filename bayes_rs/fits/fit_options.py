@@ -12,12 +12,10 @@ import numpy as np
 from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.fits.derived import check_derived
-from bayes_rs.likelihoods.log_normal import LIKELIHOODS
 from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
-from bayes_rs.posteriors.sampling.chains import Effort
-from bayes_rs.posteriors.sonic import ESS_MARGIN
+from bayes_rs.posteriors.sampling.effort import ESS_MARGIN, Effort
 from bayes_rs.priors.registry import Prior, make_prior
 
 TARGETS = {
@@ -64,7 +62,12 @@ class FitOptions:
         choices="bayes_rs.priors.registry:PRIORS",
         open=True,
     )
-    target: str = option("record", "Which R", choices=tuple(TARGETS))
+    target: str = option(
+        "record",
+        "Which R: record is that of one averaging period, ensemble that of an infinite record, sonic what a sonic at "
+        "the lidar would measure in that period",
+        choices=tuple(TARGETS),
+    )
     sampler: str = option("emcee", "How the posterior is sampled", choices="bayes_rs.posteriors.sampling:SAMPLERS")
     likelihood: str = option(
         "log-normal",
@@ -80,7 +83,7 @@ class FitOptions:
         unit="m² s⁻²",
         choices=("records",),
     )
-    nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over")
+    nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over", flag="")
     prob: float = option(0.9, "Probability of the credible intervals")
     derived: Sequence[str] = option(
         (), "Quantities in the summary beside the stresses", choices="bayes_rs.fits.derived:NAMES"
@@ -96,6 +99,8 @@ class FitOptions:
         as_generator(self.seed)
         check_choice(self.target, tuple(TARGETS), what="target")
         check_choice(self.sampler, tuple(SAMPLERS), what="sampler")
+        from bayes_rs.likelihoods.log_normal import LIKELIHOODS  # noqa: PLC0415 - help need not wait for scipy
+
         check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
         check_count(self.target_ess, what="target_ess")
         check_count(self.max_extension, what="max_extension", minimum=0)
@@ -165,7 +170,7 @@ class NoiseOptions:
         open=True,
     )
     noise_method: str = option(
-        "theory", "How the noise is made", choices="bayes_rs.noise.calibrating:METHODS", flag="--noise-method"
+        "theory", "How the noise is made", choices="bayes_rs.noise.methods:METHODS", flag="--noise-method"
     )
 
 

@@ -13,12 +13,13 @@ import xarray as xr
 from bayes_rs._validation import FloatArray
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits.fit_data import MemoryTables
-from bayes_rs.fits.fit_folder import fit_into, open_fit
+from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit
+from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers, done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -104,14 +105,13 @@ def fit(
     of R. Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
     (`SonicFactor`). S is what the draws are, and what ESS and R-hat are of (`draw_sonic`).
 
-    The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders such
-    as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row for each
-    record) and, where draws are kept, ``draws`` and ``predicted`` (one row for each draw). pandas reads each, or one
-    month of it, as one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever one is
-    read. A part
-    counts only if it is whole. A record whose likelihood cannot be calculated is flagged ``likelihood_failed`` and
-    stops nothing. All numbers are the same for a seed, in memory or in a folder, whatever the number of workers, the
-    order in which they finish, and however often the run was interrupted.
+    The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders
+    such as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row for
+    each record) and, where draws are kept, ``draws`` and ``predicted`` (one row for each draw); pandas reads each, or
+    one month of it, as one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever
+    one is read. A part counts only if it is whole. A record whose likelihood cannot be calculated is flagged
+    ``likelihood_failed`` and stops nothing. All numbers are the same for a seed, in memory or in a folder, whatever
+    the number of workers, the order in which they finish, and however often the run was interrupted.
 
     Examples
     --------
@@ -128,13 +128,14 @@ def fit(
     given = given_noise(noise)
     own = with_median_length_scale(own, choice, records, given)
     found, records = noise_and_records(records, used, given, own, choice, say)
-    plan = with_settings(plan_fit(records, used, found, own), noise=to_plain(choice))
+    plan = plan_fit(records, used, found, own)
     if output is None:
-        return _in_memory(plan, workers, client, progress)
+        return _in_memory(with_settings(plan, noise=to_plain(choice)), workers, client, progress)
+    plan = with_settings(plan, noise=noise_section(choice, given))
     with begin_result_folder(
         output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite
     ) as folder:
-        fit_into(folder, plan, workers=workers, client=client, progress=progress)
+        fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=given)
     return open_fit(output)
 
 
@@ -155,6 +156,12 @@ def with_median_length_scale(
 def with_settings(plan: Plan, **sections: Any) -> Plan:
     """Return a plan whose run says what else it depended on, section by section."""
     return replace(plan, run={**plan.run, "settings": {**sections, **plan.run["settings"]}})
+
+
+def noise_section(choice: NoiseOptions, given: Noise | None) -> dict[str, Any]:
+    """Return what `run.json` says of the choice of noise: given noise is the file of it in the folder."""
+    whole = Settings(noise=choice).with_whole_paths().noise
+    return {**to_plain(whole), "noise": None if given is None else NOISE_FILE}
 
 
 @dataclass(frozen=True)

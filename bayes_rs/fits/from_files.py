@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +15,16 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fitting import with_median_length_scale, with_settings
+from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.fits.plan import LAYOUT, number_versions, option_parts, plan_fit
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.readers.folders import find_files
-from bayes_rs.readers.registry import SUFFIXES
+from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
@@ -86,6 +86,9 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     workers, client = settings.output.workers, settings.output.scheduler
     check_workers(workers, client)
     noise = given_noise(settings.noise.noise)
+    if noise is not None:  # before files are read; the records may have fewer beams
+        both = [beam for beam in scan.beam.tolist() if beam in noise.beam] or scan.beam
+        noise.select(both).check_scan(scan.select(both))
     files = list(settings.files.files)
     records = open_record_files(files, scan)
     if records is None:
@@ -108,8 +111,8 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         records = add_motion(records, scan, settings.records, settings.files)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
         found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
-        plan = with_settings(plan_fit(records, scan, found, options), **_other_sections(settings))
-        fit_into(folder, plan, workers=workers, client=client, progress=progress, more=about)
+        plan = with_settings(plan_fit(records, scan, found, options), **_other_sections(settings, noise))
+        fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
     return open_fit(settings.output.output)
 
 
@@ -141,7 +144,7 @@ def _read(
     }
 
 
-def _key_parts(settings: Settings, scan: Scan, noise: Any) -> dict[str, str]:
+def _key_parts(settings: Settings, scan: Scan, noise: Noise | None) -> dict[str, str]:
     """Return the fingerprints of all that the results depend on beside the files, by what they are of."""
     reading = {name: value for name, value in settings.files.given().items() if name != "on_bad_file"}
     return digest_parts(
@@ -157,7 +160,8 @@ def _key_parts(settings: Settings, scan: Scan, noise: Any) -> dict[str, str]:
     )
 
 
-def _other_sections(settings: Settings) -> dict[str, Any]:
+def _other_sections(settings: Settings, noise: Noise | None) -> dict[str, Any]:
     """Return what `run.json` says of the settings beside those of the fit itself."""
-    plain = replace(settings.with_whole_paths()).to_plain()
-    return {name: values for name, values in plain.items() if name not in ("fit", "output")}
+    plain = settings.with_whole_paths().to_plain()
+    sections = {name: values for name, values in plain.items() if name not in ("fit", "output")}
+    return {**sections, "noise": noise_section(settings.noise, noise)}

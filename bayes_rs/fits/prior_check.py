@@ -42,10 +42,12 @@ def prior_sensitivity(
 
     Parameters
     ----------
-    records, scan, seed, noise, progress, say
+    records, scan, seed, noise
         As in `fit`.
     factors : sequence of float
         All widths of the prior are multiplied by these; 1 is always there.
+    progress, say
+        As in `fit`.
     **options
         As in `fit`: ``prior`` is the prior whose width is varied, ``prob`` the probability of the central intervals.
 

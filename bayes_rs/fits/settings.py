@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
-from bayes_rs.file_options import FileOptions
+from bayes_rs.file_options import ON_BAD_FILE, FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
-from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import load_scan, load_scan_text
-from bayes_rs.options import described, from_plain, nearest, option, options_of, to_plain
+from bayes_rs.options import (
+    about_option,
+    check_plain,
+    described,
+    from_plain,
+    nearest,
+    option,
+    options_of,
+    to_plain,
+)
 from bayes_rs.output import output_file
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.records.record_options import RecordOptions
-from bayes_rs.toml_file import read_toml
+
+if TYPE_CHECKING:
+    from bayes_rs.geometry.scan import Scan
 
 RUN_SUFFIX = ".json"
 """How the names of files end that are taken for the `run.json` of a run."""
@@ -63,6 +72,8 @@ class ScanOptions:
         InputError
             If none is named, or it is not valid.
         """
+        from bayes_rs.geometry.scan_file import load_scan, load_scan_text  # noqa: PLC0415 - help need not wait for it
+
         mounted: dict[str, Any] = {
             "opening_angle_deg": self.opening_angle_deg,
             "focus_distance": None if self.focus_distance is None else list(self.focus_distance),
@@ -87,6 +98,9 @@ class InputOptions(FileOptions):
     """Which files are read, and how they are written."""
 
     files: Sequence[str] = option((), "Files, folders and patterns of radial velocities, or files of records", flag="")
+    # a command is given whole folders, where one bad file must not stop a year: it is named at the end, and counts for
+    # the exit code
+    on_bad_file: str = option("skip", about_option(FileOptions, "on_bad_file").help, choices=ON_BAD_FILE)
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -119,6 +133,11 @@ class OutputOptions:
     def __post_init__(self) -> None:
         """Check the options."""
         check_count(self.workers, what="workers")
+        if self.scheduler is not None and self.workers != 1:
+            raise InputError(
+                f"Invalid workers {self.workers} with scheduler {self.scheduler!r}: its own workers do the work; leave "
+                "one of them out."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +201,7 @@ class Settings:
         by_section: dict[tuple[str, ...], dict[str, Any]] = {}
         for name, value in values.items():
             if name not in places:
-                raise InputError(f"Unknown option {name!r}: {nearest(name, places)}.")
+                raise InputError(f"Unknown option {name!r} of the settings: {nearest(name, places)}.")
             by_section.setdefault(places[name], {})[name] = value
         nuisances = by_section.pop(("fit", "nuisances"), {})
         if nuisances:
@@ -210,11 +229,11 @@ class Settings:
         InputError
             If the file exists and may not be replaced, or an option cannot be written.
         """
-        import tomli_w  # noqa: PLC0415 - seldom needed
-
-        plain = _without_none(self.with_whole_paths().to_plain())
+        plain = self.with_whole_paths().to_plain()
+        lines = [*_table("fit.nuisances", plain["fit"].pop("nuisances"))]
+        lines = [line for name, values in plain.items() for line in _table(name, values)] + lines
         with output_file(path, overwrite=overwrite) as part:
-            part.write_text(tomli_w.dumps(plain), encoding="utf-8")
+            part.write_text("\n".join(lines), encoding="utf-8")
 
     def input_files(self) -> list[str]:
         """Return the files that the settings name and that are there: what is read, and may not lie in the output."""
@@ -223,15 +242,29 @@ class Settings:
 
     def with_whole_paths(self) -> Settings:
         """Return the settings with the paths of files from the root on, so that they hold in every folder."""
-        here = Path.cwd()
-        files = tuple(str(here / name) for name in self.files.files)
-        motion = tuple(str(here / name) for name in self.records.motion)
-        noise = None if self.noise.noise is None else str(here / self.noise.noise)
+        return self._placed_in(Path.cwd())
+
+    def _placed_in(self, folder: Path) -> Settings:
+        """Return the settings with relative paths as paths in a folder."""
+
+        def place(name: str | Path) -> str:
+            return str(folder / name)
+
+        def place_model(name: str) -> str:
+            file, at, changes = name.partition(".toml@")
+            return place(file) + at + changes if at or name.endswith(".toml") else name
+
         return replace(
             self,
-            files=replace(self.files, files=files),
-            records=replace(self.records, motion=motion),
-            noise=replace(self.noise, noise=noise),
+            scan=replace(self.scan, scan=_unless_none(place_model, self.scan.scan)),
+            files=replace(self.files, files=tuple(map(place, self.files.files))),
+            records=replace(self.records, motion=tuple(map(place, self.records.motion))),
+            noise=replace(
+                self.noise,
+                noise=_unless_none(place, self.noise.noise),
+                turbulence=place_model(str(self.noise.turbulence)),
+            ),
+            output=replace(self.output, output=_unless_none(place, self.output.output)),
         )
 
     @classmethod
@@ -256,17 +289,10 @@ class Settings:
         file = Path(path)
         if not file.is_file():
             raise InputError(f"No settings file {str(file)!r}: give a TOML file, or the run.json of a run.")
+        from bayes_rs.toml_file import read_toml  # noqa: PLC0415 - help need not wait for it
+
         plain = _of_run(file) if file.suffix == RUN_SUFFIX else read_toml(file)
-        settings = cls.from_plain(plain, where=f"settings file {str(file)!r}")
-        at = file.parent
-        return replace(
-            settings,
-            files=replace(settings.files, files=tuple(str(at / name) for name in settings.files.files)),
-            records=replace(settings.records, motion=tuple(str(at / name) for name in settings.records.motion)),
-            noise=replace(
-                settings.noise, noise=None if settings.noise.noise is None else str(at / settings.noise.noise)
-            ),
-        )
+        return cls.from_plain(plain, where=f"settings file {str(file)!r}")._placed_in(file.parent)
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any], *, where: str) -> Settings:
@@ -295,7 +321,14 @@ class Settings:
                 raise InputError(f"Unknown section {name!r} in {where}: {nearest(name, SECTIONS)}.")
             if not isinstance(values, Mapping):
                 raise InputError(f"Invalid section {name!r} in {where}: it must be a table of options, as [{name}].")
-            sections[name] = from_plain(SECTIONS[name], values, where=f"{where}, section {name}")
+            _check_names(values, SECTIONS[name], (name,), where)
+            nested = values.get("nuisances") if name == "fit" else None
+            if isinstance(nested, Mapping):
+                _check_names(nested, Nuisances, (name, "nuisances"), where)
+            try:
+                sections[name] = from_plain(SECTIONS[name], values, where=where)
+            except InputError as error:
+                raise InputError(f"In {where}, section {name}: {error}") from error
         return cls(**sections)
 
 
@@ -326,6 +359,24 @@ def option_places() -> dict[str, tuple[str, ...]]:
     return places
 
 
+def _check_names(values: Mapping[str, Any], cls: type, place: tuple[str, ...], where: str) -> None:
+    """Refuse options that a section does not have, and say where they belong; and values of another type."""
+    here = f"{where}, section {'.'.join(place)}"
+    own = {entry.name: place for entry in options_of(cls)}
+    every = {**option_places(), **own}
+    for name in values:
+        if name in own:
+            continue
+        if name in every:
+            raise InputError(f"Unknown option {name!r} in {here}: it is one of section {'.'.join(every[name])}.")
+        raise InputError(f"Unknown option {name!r} in {here}: {nearest(name, own, every)}.")
+    check_plain(cls, values, where=here)
+
+
+def _unless_none(function: Callable[[str], str], value: str | None) -> str | None:
+    return None if value is None else function(value)
+
+
 def _of_run(file: Path) -> dict[str, Any]:
     """Return the settings that a `run.json` holds, such that they repeat the run from its own folder."""
     try:
@@ -348,10 +399,9 @@ def _of_run(file: Path) -> dict[str, Any]:
     return plain
 
 
-def _without_none(plain: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what is not said: TOML has no null."""
-    return {
-        name: _without_none(value) if isinstance(value, dict) else value
-        for name, value in plain.items()
-        if value is not None
-    }
+def _table(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a table of a TOML file; what is not said is left out, since TOML has no null."""
+    from bayes_rs.toml_file import toml_value  # noqa: PLC0415 - help need not wait for it
+
+    said = {key: value for key, value in values.items() if value is not None and value not in ([], {})}
+    return [f"[{name}]", *(f"{key} = {toml_value(value)}" for key, value in said.items()), ""] if said else []

@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_count, check_positive
 from bayes_rs.errors import InputError
@@ -537,7 +537,7 @@ def _pulse_shape(s: FloatArray, pulse: str, ratio: float) -> FloatArray:
     """Return φ₁ for a gate of length 1 and a pulse `ratio` times as long."""
     if pulse == "gaussian":
         r_p = ratio / (2.0 * np.sqrt(np.log(2.0)))
-        return np.asarray(0.5 * (special.erf((s + 0.5) / r_p) - special.erf((s - 0.5) / r_p)))
+        return np.asarray(0.5 * (scipy.special.erf((s + 0.5) / r_p) - scipy.special.erf((s - 0.5) / r_p)))
     return np.clip(0.5 * (1.0 + ratio) - np.abs(s), 0.0, min(1.0, ratio)) / ratio
 
 

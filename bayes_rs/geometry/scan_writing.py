@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +10,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.output import output_file
+from bayes_rs.toml_file import toml_key, toml_value
 
 _SAME = 1e-9
 """Directions, distances (m) and times (s) that agree to this are the same, as in `Scan.geometry`."""
@@ -62,11 +60,11 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
 def scan_text(scan: Scan) -> str:
     """Return the text of a scan file; see `save_scan`."""
     planes = _planes(scan)
-    lines = [f"title = {_value(scan.title or scan.name)}", f"source = {_value(scan.source or 'not given')}", ""]
+    lines = [f"title = {toml_value(scan.title or scan.name)}", f"source = {toml_value(scan.source or 'not given')}", ""]
     lines += ["[beams]", 'pattern = "list"']
     if planes is not None:
         n_beam, distances, order, period = planes
-        lines += [f"focus_distance = {_value(distances.tolist())}", ""]
+        lines += [f"focus_distance = {toml_value(distances.tolist())}", ""]
     else:
         n_beam, distances, order, period = scan.n_beam, scan.focus_distance[:1], "", scan.scan_duration
         lines += [""]
@@ -76,23 +74,23 @@ def scan_text(scan: Scan) -> str:
         lines += [
             f"[[beams.beam]]  # {opening:.2f} degrees from -x, its projection {phase:.2f} degrees from y",
             f"id = {int(scan.beam[index])}",
-            f"vector = {_value(vector)}",
+            f"vector = {toml_value(vector)}",
         ]
         if planes is None:
             lines += [
-                f"focus_distance = {_value(float(scan.focus_distance[index]))}",
-                f"time = {_value(float(scan.beam_time[index]))}",
+                f"focus_distance = {toml_value(float(scan.focus_distance[index]))}",
+                f"time = {toml_value(float(scan.beam_time[index]))}",
             ]
         lines += [""]
-    lines += ["[timing]", f"scan_duration = {_value(period)}"]
+    lines += ["[timing]", f"scan_duration = {toml_value(period)}"]
     lines += [f'planes = "{order}"', ""] if len(distances) > 1 else [""]
     if scan.tilt or scan.yaw:
-        lines += ["[mounting]", f"tilt_deg = {_value(float(np.rad2deg(scan.tilt)))}"]
-        lines += [f"yaw_deg = {_value(float(np.rad2deg(scan.yaw)))}", ""]
+        lines += ["[mounting]", f"tilt_deg = {toml_value(float(np.rad2deg(scan.tilt)))}"]
+        lines += [f"yaw_deg = {toml_value(float(np.rad2deg(scan.yaw)))}", ""]
     if probe := scan.probe.parameters():
-        lines += ["[probe]", *(f"{key} = {_value(value)}" for key, value in probe.items()), ""]
+        lines += ["[probe]", *(f"{key} = {toml_value(value)}" for key, value in probe.items()), ""]
     if scan.file_format:
-        lines += ["[file]", *(f"{_key(key)} = {_value(value)}" for key, value in scan.file_format.items()), ""]
+        lines += ["[file]", *(f"{toml_key(key)} = {toml_value(value)}" for key, value in scan.file_format.items()), ""]
     return "\n".join(lines)
 
 
@@ -116,22 +114,3 @@ def _planes(scan: Scan) -> tuple[int, FloatArray, str, float] | None:
     if np.max(np.abs(scan.beam_time - step / n_plane * np.arange(scan.n_beam))) < _SAME:
         return n_beam, by_plane[:, 0], "sequential", scan.scan_duration / n_plane
     return None
-
-
-def _value(value: Any) -> str:
-    """Return a plain value as TOML."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + " }"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return repr(float(value))
-    if isinstance(value, (int, np.integer)):
-        return str(int(value))
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's basic strings are JSON's
-
-
-def _key(key: str) -> str:
-    return json.dumps(str(key), ensure_ascii=False)

@@ -20,13 +20,11 @@ from bayes_rs.noise.at_states import noise_at_states
 from bayes_rs.noise.box_noise import Boxes
 from bayes_rs.noise.choice import noise_for_records
 from bayes_rs.noise.gaps import gap_noise
+from bayes_rs.noise.methods import METHODS
 from bayes_rs.noise.net import TOLERANCE, refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
-
-METHODS = ("theory", "boxes")
-"""Ways to calibrate, by name."""
 
 
 def calibrate(

@@ -123,6 +123,11 @@ class Nuisances:
             check_non_negative(getattr(self, name), what=name, unit=unit, where="the nuisances")
         if self.length_scale is not None:
             check_positive(self.length_scale, what="length_scale", unit="m", where="the nuisances")
+            if self.length_scale_log_sd == 0.0:
+                raise InputError(
+                    f"Invalid length_scale {self.length_scale:g} m with length_scale_log_sd 0: it is the median of an "
+                    "uncertain length scale; say how uncertain it is (--length-scale-sd), or leave it out."
+                )
         check_positive(self.inflation, what="inflation", unit="", where="the nuisances")
         if not self.inflation_dof > 2.0:
             raise InputError(

@@ -23,8 +23,6 @@ CLIP_LIMIT = 0.05
 nothing open, log-normal numbers of the right first two moments do so by up to 0.02, and interpolated noise has errors
 of 0.01. Such an eigenvalue is set to zero, and the result reports how far below it was."""
 
-ESS_MARGIN = 1.25
-"""R is sampled by so much more than asked for: S has an effective sample size of its own, estimated anew."""
 
 _CONVERGED = 1e-12  # of the moments that are matched: far below any error of theirs
 _MOST_STEPS = 500

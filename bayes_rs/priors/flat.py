@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Self
 
 import numpy as np
-from scipy.special import betaln, log_ndtr
+import scipy
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.priors.interface import N_COORDINATE, Prior
@@ -17,7 +18,12 @@ _SIDE = np.array([2.5, 2.5, 2.0])
 """The elements beside the diagonal are 2b − 1 with b Beta(power, power)."""
 _SCALE = 1.0 / np.sqrt(2.0 * _SIDE)
 """Gives their coordinates a standard deviation near one."""
-_LOG_CONSTANT = float(np.sum(np.log(_SCALE) - betaln(0.5, _SIDE)) - 1.5 * np.log(2.0 * np.pi))
+
+
+@cache
+def _log_constant() -> float:
+    """Return the log of the density's constant factor."""
+    return float(np.sum(np.log(_SCALE) - scipy.special.betaln(0.5, _SIDE)) - 1.5 * np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,7 @@ class FlatPrior(Prior):
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density of the coordinates, which are independent: three normal, three of artanh of a Beta."""
         of_sides = -2.0 * _log_cosh(_SCALE * coordinate[..., 3:]) @ _SIDE
-        return np.asarray(_LOG_CONSTANT - 0.5 * np.sum(coordinate[..., :3] ** 2, axis=-1) + of_sides)
+        return np.asarray(_log_constant() - 0.5 * np.sum(coordinate[..., :3] ** 2, axis=-1) + of_sides)
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
@@ -71,7 +77,7 @@ class FlatPrior(Prior):
         """Map coordinates to stresses."""
         scaled = _SCALE * coordinate[..., 3:]
         diagonal, side, room = (
-            np.exp(log_ndtr(coordinate[..., :3]) / _DIAGONAL),
+            np.exp(scipy.special.log_ndtr(coordinate[..., :3]) / _DIAGONAL),
             np.tanh(scaled),
             np.exp(-_log_cosh(scaled)),
         )

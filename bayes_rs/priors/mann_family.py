@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev
-from scipy.special import ndtr
 
 from bayes_rs._validation import FloatArray, check_non_negative, check_positive
 from bayes_rs.errors import InputError
@@ -200,7 +200,7 @@ class MannPrior(Prior):
 
     def gamma(self, coordinate: FloatArray) -> FloatArray:
         """Return Γ, shape (...), at coordinates, shape (..., 7)."""
-        return np.asarray(self.gamma_low + (self.gamma_high - self.gamma_low) * ndtr(coordinate[..., 1]))
+        return np.asarray(self.gamma_low + (self.gamma_high - self.gamma_low) * scipy.special.ndtr(coordinate[..., 1]))
 
     def stress(self, coordinate: FloatArray) -> FloatArray:
         """Map coordinates to stresses."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import optimize, stats
-from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError
@@ -94,7 +93,7 @@ class SamplePrior(NormalPrior):
                 "rows out, or check the order uu, vv, ww, uv, uw, vw."
             )
         inner = _log_ratios(sample)
-        score = ndtri((stats.rankdata(inner, axis=0) - 0.5) / len(sample))
+        score = scipy.special.ndtri((scipy.stats.rankdata(inner, axis=0) - 0.5) / len(sample))
         keep = object.__setattr__
         keep(self, "stresses", sample.copy())
         spread = _robust_sd(inner)
@@ -159,7 +158,7 @@ def _fit_curve(values: FloatArray, spread: float) -> tuple[float, FloatArray]:
     """Fit T(s) = a + b₀ s + Σ (b_j − b_{j−1}) turn(s − knot_j) to sorted values; return a and the slopes b > 0."""
     n_level = min(len(values), _MOST_LEVELS)
     level = (np.arange(n_level) + 0.5) / n_level
-    score = ndtri(level)
+    score = scipy.special.ndtri(level)
     target = np.quantile(values, level, method="hazen")
     turns = np.stack([score, *(_turn(score - knot) for knot in _KNOTS)], axis=1)
     of_slopes = turns.copy()
@@ -168,7 +167,7 @@ def _fit_curve(values: FloatArray, spread: float) -> tuple[float, FloatArray]:
     n_slope = of_slopes.shape[1]
     pull = np.sqrt(_PULL * n_level) * np.concatenate([np.zeros((n_slope, 1)), np.eye(n_slope)], axis=1)
     low, high = (factor * spread for factor in _SLOPE_RANGE)
-    solution = optimize.lsq_linear(
+    solution = scipy.optimize.lsq_linear(
         np.concatenate([design, pull]),
         np.concatenate([target, np.sqrt(_PULL * n_level) * np.full(n_slope, spread)]),
         bounds=([-np.inf, *[low] * n_slope], [np.inf, *[high] * n_slope]),

@@ -9,7 +9,20 @@ from bayes_rs.quality.samples import BoolArray, IntArray
 
 
 def group_median(values: FloatArray, group: IntArray) -> FloatArray:
-    """Return for each entry the median of its group."""
+    """Return for each entry the median of its group.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        The entries.
+    group : ndarray of int, shape (n,)
+        The group of each.
+
+    Returns
+    -------
+    median : ndarray, shape (n,)
+        In the unit of the values.
+    """
     order = np.lexsort((values, group))
     _, start, inverse, count = np.unique(group[order], return_index=True, return_inverse=True, return_counts=True)
     ranked = values[order]
@@ -22,8 +35,24 @@ def group_median(values: FloatArray, group: IntArray) -> FloatArray:
 def group_moments(
     values: FloatArray, group: IntArray, n_group: int
 ) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
-    """Return N, mean, variance (divisor N) and whether all values are equal, of each group; `group` is sorted.
+    """Return N, mean, variance (divisor N) and whether all values are equal, of each group.
 
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        The entries.
+    group : ndarray of int, shape (n,)
+        The group of each, from 0 on; sorted.
+    n_group : int
+        Number of groups; some may be empty.
+
+    Returns
+    -------
+    count, mean, variance, constant : ndarray, shape (n_group,)
+        NaN for the mean and the variance of an empty group.
+
+    Notes
+    -----
     Two passes, about the first sample of the group: a large mean costs no digits.
     """
     count = np.bincount(group, minlength=n_group)

@@ -129,7 +129,10 @@ class QualityRules:
         for name in self.exclude:
             check_choice(name, REMARKS, what="remark in exclude")
         put("blocked_sectors", {str(key): _sectors(value) for key, value in dict(self.blocked_sectors).items()})
-        put("wind_sectors", {int(key): _sectors(value) for key, value in dict(self.wind_sectors).items()})
+        put(
+            "wind_sectors",
+            {_beam(key, what="wind_sectors"): _sectors(value) for key, value in dict(self.wind_sectors).items()},
+        )
         if self.despike is not None:
             check_choice(self.despike, DESPIKE_RULES, what="despike")
         for name in ("despike_window", "blade_window"):
@@ -195,9 +198,19 @@ def _pair(value: Any, *, what: str, unit: str) -> Pair:
     return low, high
 
 
+def _beam(key: Any, *, what: str) -> int:
+    try:
+        return int(key)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"Invalid beam {key!r} in {what}: it must be a beam number, as 0.") from error
+
+
 def _window(value: Any, *, what: str, unit: str) -> Window | None:
     if isinstance(value, Mapping):
-        return {int(beam): _pair(pair, what=f"{what} of beam {beam}", unit=unit) for beam, pair in value.items()}
+        return {
+            _beam(beam, what=what): _pair(pair, what=f"{what} of beam {beam}", unit=unit)
+            for beam, pair in value.items()
+        }
     return None if value is None else _pair(value, what=what, unit=unit)
 
 

@@ -14,7 +14,9 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.netcdf import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.ray_variables import decode_times, open_netcdf, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
@@ -160,3 +162,15 @@ def _accumulation_time(dataset: xr.Dataset) -> FloatArray | None:
         return np.asarray(float(dataset.attrs["accumulation_time"]))
     except (KeyError, TypeError, ValueError):
         return None
+
+
+READER = Reader(
+    name="e-windlidar",
+    title="e-WindLidar NetCDF of IEA Wind Task 32, with rays",
+    source="Lidaco, the converter of the e-WindLidar initiative (github.com/e-WindLidar/Lidaco)",
+    suffixes=NETCDF_SUFFIXES,
+    recognises=lambda file, *_: recognises_e_windlidar(file),
+    read=read_e_windlidar,
+    rays=e_windlidar_rays,
+    defaults={"time_stamp": "start"},
+)

@@ -15,6 +15,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.samples import Samples
@@ -230,3 +231,15 @@ def _times(hour: FloatArray, header: _Header, row: NDArray[np.int64], file: Path
     since = np.round((hour + 24.0 * days) * 3.6e9).astype("timedelta64[us]")
     time: NDArray[np.datetime64] = day.astype("datetime64[ns]") + since
     return time
+
+
+READER = Reader(
+    name="halo",
+    title="Halo Photonics StreamLine, .hpl text",
+    source="doppy, the processing of the ACTRIS network (github.com/actris-cloudnet/doppy, docs/formats-halo.md)",
+    suffixes=SUFFIXES,
+    recognises=lambda *_: True,
+    read=read_halo,
+    rays=halo_rays,
+    defaults={"positive": "away", "time_zone": "UTC"},
+)

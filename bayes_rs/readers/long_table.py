@@ -10,8 +10,9 @@ import numpy as np
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.table import Column, Table, open_table
+from bayes_rs.readers.table import TABLE_SUFFIXES, Column, Table, open_table
 
 ALSO_STATUS = "quality"
 
@@ -84,3 +85,14 @@ def _samples(table: Table, scan: Scan, column: Mapping[str, Column]) -> Samples:
             "rows_without_beam": int(no_beam.sum()),
         },
     )
+
+
+READER = Reader(
+    name="long",
+    title="CSV or Parquet table, a row per sample",
+    source="this package; docs/formats.md",
+    suffixes=TABLE_SUFFIXES,
+    recognises=lambda file, _, file_format: looks_long(open_table(file, file_format)),
+    read=read_long,
+    pieces=long_pieces,
+)

@@ -18,6 +18,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
 
@@ -146,3 +147,14 @@ def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[s
 
 def _without_coordinates(variable: xr.DataArray) -> xr.DataArray:
     return variable.drop_vars(list(variable.coords))
+
+
+READER = Reader(
+    name="netcdf",
+    title="NetCDF with the names of the long table, as this package writes it",
+    source="CF conventions for time; docs/formats.md",
+    suffixes=SUFFIXES,
+    recognises=lambda *_: True,
+    read=read_netcdf,
+    own_options=own_options,
+)

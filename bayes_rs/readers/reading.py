@@ -16,7 +16,8 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.options import from_plain
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
-from bayes_rs.readers.registry import FORMATS, SUFFIXES, read_file
+from bayes_rs.readers.one_file import SUFFIXES, read_file
+from bayes_rs.readers.registry import FORMATS
 from bayes_rs.readers.samples import FilesReport, Samples, check_order, join_samples, no_sample, none_read
 
 __all__ = ["FileOptions", "checked_options", "read"]

@@ -14,6 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.sequence import match_sequence
@@ -193,3 +194,15 @@ def _index(file_format: FileFormat, name: str) -> int:
             f"give columns={{{name!r}: '3'}}."
         )
     return int(given) - 1
+
+
+READER = Reader(
+    name="spinnerlidar",
+    title="DTU SpinnerLidar, text without headings",
+    source="scripts of the University of Oldenburg's measurement course; columns by the option columns",
+    suffixes=SUFFIXES,
+    recognises=recognises_spinnerlidar,
+    read=read_spinnerlidar,
+    rays=spinnerlidar_rays,
+    defaults=DEFAULTS,
+)

@@ -16,8 +16,8 @@ from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.one_file import SUFFIXES, read_pieces
 from bayes_rs.readers.reading import checked_options
-from bayes_rs.readers.registry import SUFFIXES, read_pieces
 from bayes_rs.readers.samples import (
     FilesReport,
     Samples,

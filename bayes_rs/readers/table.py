@@ -19,6 +19,7 @@ from bayes_rs.readers.format import FileFormat
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv")
 PARQUET_SUFFIXES = (".parquet", ".pq")
+TABLE_SUFFIXES = (*CSV_SUFFIXES, *PARQUET_SUFFIXES)
 
 _INDEX = re.compile(r"__index_level_\d+__")  # what pandas calls an index without a name
 

@@ -13,8 +13,9 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beam_number, numbers, times, unknown_beam
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.table import Table, open_table
+from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 
 _HEADING = re.compile(r"(?:(vr|beam|cnr|status|quality)_)?(-?\d+)")
 _MEANING = {None: "radial_velocity", "vr": "radial_velocity", "beam": "radial_velocity", "quality": "status"}
@@ -128,3 +129,14 @@ def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.Dat
             "rows_without_beam": 0,
         },
     )
+
+
+READER = Reader(
+    name="wide",
+    title="CSV or Parquet table, a row per time and a column per beam",
+    source="this package; docs/formats.md",
+    suffixes=TABLE_SUFFIXES,
+    recognises=lambda file, scan, file_format: looks_wide(open_table(file, file_format), scan),
+    read=read_wide,
+    pieces=wide_pieces,
+)

@@ -13,7 +13,9 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.netcdf import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.ray_variables import (
     decode_times,
     join_rays,
@@ -151,3 +153,15 @@ def _accumulation_time(sweep: xr.Dataset) -> FloatArray | None:
     if factor is None or not np.issubdtype(variable.dtype, np.number):
         return None
     return factor * np.asarray(variable.values, dtype=np.float64)
+
+
+READER = Reader(
+    name="windcube",
+    title="WindCube scanning lidar (100S, 200S, 400S), NetCDF with rays",
+    source="the files' own CF/Radial layout, as lidarwind (doi:10.21105/joss.04852) and xradar read it",
+    suffixes=NETCDF_SUFFIXES,
+    recognises=lambda file, *_: recognises_windcube(file),
+    read=read_windcube,
+    rays=windcube_rays,
+    defaults={"positive": "away", "time_stamp": "end", "status_valid": STATUS_VALID},
+)

@@ -20,6 +20,7 @@ from bayes_rs.readers.compressed import UNREADABLE, plain_file, unreadable
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import FileFormat, resolve_format
+from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
@@ -446,3 +447,14 @@ def _on_the_cone(phase: FloatArray, scan: Scan) -> FloatArray:
         f"The beams of scan {scan.name!r} do not lie on one cone about its axis or the vertical: files with a phase "
         "need such a scan; give zx-tm or zx-300, or a scan like them."
     )
+
+
+READER = Reader(
+    name="zx",
+    title="ZX TM, ZX 300 (ZephIR), line-of-sight velocities with a phase",
+    source="files of ZX's converter; headings of the 50 Hz data are assumed, or named by the option columns",
+    suffixes=SUFFIXES,
+    recognises=recognises_zx,
+    read=read_zx,
+    defaults=DEFAULTS,
+)

@@ -17,6 +17,18 @@ from bayes_rs.readers.netcdf_check import check_netcdf
 def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     """Read records that were written before; None if the file is something else, such as radial velocities.
 
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    scan : Scan
+        The scan that measured them.
+
+    Returns
+    -------
+    records : Dataset or None
+        As they were written.
+
     Raises
     ------
     InputError
@@ -43,6 +55,18 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
 
 def open_record_files(paths: Sequence[str | Path], scan: Scan) -> xr.Dataset | None:
     """Read records that were written before, of one file or several; None if they are something else.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        The files.
+    scan : Scan
+        The scan that measured them.
+
+    Returns
+    -------
+    records : Dataset or None
+        Those of all files, one after the other.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import FoundFiles, find_files
-from bayes_rs.readers.registry import SUFFIXES
+from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.streaming import stream
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.record_options import RecordOptions, record_options
@@ -224,6 +224,7 @@ def _read_left(
         )
         raise
     if len(done.bad) == len(paths):
+        folder.remove(_STATE)  # there is nothing to go on from
         first = next(iter(done.bad.values()))
         raise InputError(f"None of the {len(paths)} files can be used; the first: {first}")
     return done

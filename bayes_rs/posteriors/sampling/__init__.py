@@ -6,36 +6,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from bayes_rs.registry import Registry
 
-from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains, Effort
-from bayes_rs.posteriors.sampling.direct import sample_direct
-from bayes_rs.posteriors.sampling.ensemble import sample_emcee
-from bayes_rs.posteriors.sampling.streams import RecordStreams
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
+    from bayes_rs.posteriors.posterior import Posterior
+    from bayes_rs.posteriors.sampling.chains import Chains
+    from bayes_rs.posteriors.sampling.effort import Effort
+    from bayes_rs.posteriors.sampling.streams import RecordStreams
 
-def sample_auto(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
-    """Draw directly, and sample with emcee the records for which that does not do; `Chains.sampler` says which.
-
-    A record keeps its direct draws if emcee falls short of the target, too, and the weights can be trusted.
-    """
-    chains = sample_direct(posterior, streams=streams, effort=effort)
-    left = np.flatnonzero(chains.missed(effort.target_ess))
-    if len(left):
-        again = sample_emcee(posterior.take(left), streams=streams.take(left), effort=effort)
-        better = np.flatnonzero(~again.missed(effort.target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
-        chains.put(left[better], again.take(better))
-    return chains
-
-
-SAMPLERS: dict[str, Callable[..., Chains]] = {
-    "emcee": sample_emcee,
-    "direct": sample_direct,
-    "auto": sample_auto,
-}
+SAMPLERS: Registry[Callable[..., Chains]] = Registry(
+    {
+        "emcee": "bayes_rs.posteriors.sampling.ensemble:sample_emcee",
+        "direct": "bayes_rs.posteriors.sampling.direct:sample_direct",
+        "auto": "bayes_rs.posteriors.sampling.auto:sample_auto",
+    }
+)
 """The samplers by name: (posterior, *, streams, effort) → Chains."""
 
 
@@ -60,6 +50,8 @@ def sample(name: str, posterior: Posterior, *, keys: NDArray[np.int64], effort: 
     streams : RecordStreams
         The records' streams.
     """
+    from bayes_rs.posteriors.sampling.streams import RecordStreams  # noqa: PLC0415 - the names alone are light
+
     streams = RecordStreams(effort.seed, keys)
     made = SAMPLERS[name](posterior, streams=streams, effort=effort)
     return made, streams

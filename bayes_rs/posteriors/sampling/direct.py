@@ -12,7 +12,8 @@ from scipy.stats import qmc
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, Effort, kept_draws
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, kept_draws
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 

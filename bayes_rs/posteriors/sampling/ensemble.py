@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.posteriors.sampling.chains import (
-    N_CHAIN,
-    N_ENSEMBLE,
-    N_WALKER,
-    Chains,
-    Effort,
-    diagnose_stress,
-    kept_draws,
-)
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 N_BURN_IN = 16
