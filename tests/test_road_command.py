@@ -350,7 +350,7 @@ class TestNoEffect:
     """An option that would do nothing is refused, not dropped."""
 
     @pytest.mark.parametrize("command", ["fit", "sensitivity"])
-    @pytest.mark.parametrize("option", [("--turbulence", "iec-a"), ("--noise-method", "theory")])
+    @pytest.mark.parametrize("option", [("--turbulence", "iec-a")])
     def test_how_noise_is_made_beside_a_noise_file(self, command, option, bayes_rs, scene, tmp_path):
         words = ("--scan", scene / "mine.toml", "--tilt", 2, "--noise", scene / "noise.nc", *option)
         code, _, err = bayes_rs(command, scene / "records.nc", *words, "-o", tmp_path / "out")
@@ -386,7 +386,7 @@ class TestNoEffect:
         words = ("2-beam", "--wind-speed", 10, "--boxes", 5, "-o", tmp_path / "n.nc")
         code, _, err = bayes_rs("calibrate", *words)
         assert code == 2
-        assert "--boxes: it is of boxes, and the noise is made by theory: add --noise-method boxes." in err[-1]
+        assert "--boxes: it is of boxes, and the noise is made by theory: add --method boxes." in err[-1]
 
     def test_nothing_is_refused_that_is_not_given(self):
         @click.command()
