@@ -10,6 +10,7 @@ import click
 import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
+from scenes import draw_variances, plain_noise, records_of
 from settings_samples import EVERY, SAMPLES, changed, entry_of, value_of, words_of_needs
 
 import bayes_rs as brs
@@ -621,3 +622,31 @@ class TestOtherCommands:
         assert found[name] == value
         if given:
             assert found["noise"].scan_name == "2-beam"
+
+
+@pytest.fixture(scope="module", params=["6-beam", "50-beam"])
+def beams(request):
+    scan = brs.load_scan(request.param)
+    noise, rng = plain_noise(scan), np.random.default_rng(1)
+    variance = draw_variances(np.tile([1.0, 0.6, 0.4, 0.0, -0.2, 0.0], (2, 1)), scan, noise, rng)
+    return records_of(variance, scan), scan, noise
+
+
+class TestFewBeamsAndMany:
+    """Many beams are fitted from noise that was reduced beforehand: an option must arrive on that road, too."""
+
+    @pytest.mark.parametrize(
+        ("section", "name"),
+        [
+            (section, name)
+            for section, name in EVERY
+            if section == "nuisances" and not name.startswith(("length_scale", "yaw_sd_missing"))
+        ],
+    )
+    def test_what_is_uncertain_changes_the_posterior(self, section, name, beams):
+        sample, (made, scan, noise) = SAMPLES[section][name], beams
+        needs = {"instrument_noise": 0.05} if name == "instrument_noise_log_sd" else {}
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 50, **needs}
+        plain = brs.fit(made, scan, **options).summary()
+        other = brs.fit(made, scan, nuisances=brs.Nuisances(**{name: sample.value}), **options).summary()
+        assert not np.allclose(plain["mean"], other["mean"], rtol=1e-6)
