@@ -48,7 +48,7 @@ data: $(VENV)/installed-test
 	$(BIN)/python benchmarks/make_demo_data.py
 noise: $(VENV)/installed-test
 	$(BIN)/python benchmarks/calibrate_shipped_noise.py
-	$(BIN)/python benchmarks/make_noise_banks.py
+	$(BIN)/python benchmarks/make_noise_nets.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

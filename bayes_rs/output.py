@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -156,7 +157,19 @@ def write_netcdf(data: xr.Dataset | xr.DataTree, file: Path, **options: Any) -> 
     The file is made in memory first, and so takes its own size in memory: where the HDF5 library itself meets a full
     disk, it cannot close its file and takes the whole process down with it.
     """
-    file.write_bytes(data.to_netcdf(engine="h5netcdf", **options))
+    with _without_dask():
+        file.write_bytes(data.to_netcdf(engine="h5netcdf", **options))
+
+
+@contextmanager
+def _without_dask() -> Iterator[None]:
+    """Let xarray lock a file in memory as it does without a cluster: a Dask client knows no lock of that name."""
+    dask = sys.modules.get("dask")
+    if dask is None:
+        yield
+        return
+    with dask.config.set(scheduler="synchronous"):
+        yield
 
 
 def write_csv(table: pd.DataFrame, file: Path, **options: Any) -> None:

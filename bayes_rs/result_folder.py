@@ -235,6 +235,20 @@ class ResultFolder:
             if file.is_file() and self.damage(name) is not None and fingerprint_of_file(file) in earlier:
                 file.unlink()  # its successor was listed and never came
 
+    def check_whole(self) -> None:
+        """Check that all files are there, with the bytes that this run and those before it wrote.
+
+        Raises
+        ------
+        LostResultsError
+            If one is not, or the folder was moved or removed.
+        """
+        final = self._writable()
+        self._check_place()
+        lost = self.damaged()
+        if lost:
+            raise LostResultsError(_lost_words(final, lost), damage=lost)
+
     def finish(self, content: Mapping[str, Any]) -> None:
         """End the run: all that it wrote is there, `run.json` says so, and the folder takes its name.
 
@@ -256,10 +270,7 @@ class ResultFolder:
             If something appeared in the folder that was to be replaced: it is kept whole, under another name.
         """
         final = self._writable()
-        self._check_place()
-        lost = self.damaged()
-        if lost:
-            raise LostResultsError(_lost_words(final, lost), damage=lost)
+        self.check_whole()
         self.clean()
         self.write_run({**content, "finished": True})
         on_disk = read_ledger(self.path)

@@ -53,7 +53,7 @@ def main() -> None:
     test = {prior: tensors(prior, rng) for prior in ("weak", "flat")}
     for name, counts in SCANS.items():
         scan = brs.load_scan(name, probe="point")
-        matrix = brs.design_matrix(scan)
+        matrix = brs.geometry.design_matrix(scan)
         covariance = brs.noise.calibrate(scan, turbulence, wind_speed=10.0).covariance[0]
         every = np.ones((1, scan.n_beam))
         whitening = log_normal_likelihood(every, every > 0.0, matrix[None], covariance[None]).whitening[0]

@@ -1,8 +1,8 @@
 """Make models/noise/*.nc, the noise that is shipped: virtual lidars in boxes of Mann turbulence.
 
 Run from the checkout: python benchmarks/calibrate_shipped_noise.py; about half an hour. --help shows the options.
-All scans at 10 m/s share one pass through the boxes; the bank of the pulsed lidar takes another. No scan has a probe
-volume here: the instruments' noise with theirs is by theory, benchmarks/make_noise_banks.py.
+All scans at 10 m/s share one pass through the boxes; the noise of the pulsed lidar at several states takes another. No
+scan has a probe volume here: the instruments' noise with theirs is by theory, benchmarks/make_noise_nets.py.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def main() -> None:
     """Calibrate and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--boxes", type=int, default=240)
-    parser.add_argument("--bank-boxes", type=int, default=200)
+    parser.add_argument("--net-boxes", type=int, default=200)
     parser.add_argument("--folder", type=Path, default=Path(__file__).parent.parent / "models" / "noise")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -60,9 +60,9 @@ def main() -> None:
         for speed, yaw in product(BANK_WIND_SPEEDS, BANK_YAWS_DEG)
     ]
     start = time.perf_counter()
-    bank = Noise.join(tuple(noise_from_boxes(states, turbulence, options.bank_boxes, DEFAULT_SEED)))
-    print(f"{options.bank_boxes} boxes in {time.perf_counter() - start:.0f} s")
-    write(bank, options.folder / "pulsed-4-beam-point.nc")
+    net = Noise.join(tuple(noise_from_boxes(states, turbulence, options.net_boxes, DEFAULT_SEED)))
+    print(f"{options.net_boxes} boxes in {time.perf_counter() - start:.0f} s")
+    write(net, options.folder / "pulsed-4-beam-point.nc")
 
 
 def write(noise: Noise, file: Path) -> None:

@@ -202,10 +202,10 @@ def off_the_ideal(n_record: int) -> list[dict[str, object]]:
         if instrument in BOXES:
             add("Mann boxes", scene.noise, box_deviations(BOXES[instrument], scene.scan), data="boxes")
         if scene.scan.n_beam <= 6:
-            probed = replace(scene.scan, probe=brs.ContinuousWaveProbe(rayleigh_length=6.0))
+            probed = replace(scene.scan, probe=brs.geometry.ContinuousWaveProbe(rayleigh_length=6.0))
             with_probe = brs.noise.theory(probed, scene.flow, wind_speed=WIND_SPEED)
             add("probe of z_R = 6 m ignored", scene.noise, truth_gain=with_probe.gain[0])
-        bank = brs.noise.calibrate(
+        net = brs.noise.calibrate(
             scene.scan,
             short,
             tolerance=0.01,
@@ -214,7 +214,7 @@ def off_the_ideal(n_record: int) -> list[dict[str, object]]:
             cache=False,
         )
         uncertain = Nuisances(length_scale_log_sd=0.7, length_scale=short.length_scale)
-        add("L twice too short, averaged over", bank, nuisances=uncertain)
+        add("L twice too short, averaged over", net, nuisances=uncertain)
     return rows
 
 

@@ -130,10 +130,10 @@ def as_the_spectra_say(folder: Path, records: xr.Dataset) -> xr.Dataset:
     """Return the records with the length scales and the instrument's noise of their own spectra."""
     scan, flow = brs.load_scan("pulsed-4-beam"), brs.load_turbulence("fu-2022")
     series = brs.read(sorted(folder.glob("Lidar_*_LOS?_178m.csv")), scan)
-    spectra = brs.radial_spectra(series, scan, records)
-    fitted = brs.fit_spectra(spectra, scan, gamma=flow.gamma)
-    estimate = brs.estimate_instrument_noise(spectra.assign(length_scale=fitted["length_scale"]), scan, flow)
-    return brs.with_instrument_noise(brs.with_length_scale(records, fitted), estimate)
+    spectra = brs.spectra.radial_spectra(series, scan, records)
+    fitted = brs.spectra.fit_spectra(spectra, scan, gamma=flow.gamma)
+    estimate = brs.spectra.estimate_instrument_noise(spectra.assign(length_scale=fitted["length_scale"]), scan, flow)
+    return brs.spectra.with_instrument_noise(brs.spectra.with_length_scale(records, fitted), estimate)
 
 
 def assumptions(folder: Path, records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:

@@ -99,7 +99,7 @@ def study(n_record: int) -> pd.DataFrame:
             began = time.perf_counter()
             factor = sector_factor(scan, flow)
             records = drawn_records(
-                scan, noise, factor * brs.radial_variance(scan, truth), some, np.random.default_rng(1)
+                scan, noise, factor * brs.geometry.radial_variance(scan, truth), some, np.random.default_rng(1)
             )
             options = {"noise": noise, "seed": 1, "progress": False}
             table = brs.compare_inflow(records, scan, nuisances=NUISANCES, leave_one_out=False, **options)

@@ -73,7 +73,7 @@ def relative_variances(name: str, scan: brs.Scan, source: str, n_record: int) ->
             seed=np.random.default_rng([SEED, part]),
         )
         truth = json.loads(series.attrs["truth"])["stresses_record"]
-        parts.append(brs.make_records(series, scan)["variance"].values / brs.radial_variance(scan, truth))
+        parts.append(brs.make_records(series, scan)["variance"].values / brs.geometry.radial_variance(scan, truth))
     return np.concatenate(parts)
 
 
@@ -147,7 +147,7 @@ def posteriors(
 
 def prepared(name: str, scan: brs.Scan, covariance: np.ndarray, variance: np.ndarray) -> Likelihood:
     """Make a likelihood that uses all beams."""
-    gain = np.broadcast_to(brs.design_matrix(scan), (*variance.shape, 6))
+    gain = np.broadcast_to(brs.geometry.design_matrix(scan), (*variance.shape, 6))
     every = np.broadcast_to(covariance, (len(variance), *covariance.shape))
     return MAKERS[name](variance, np.ones_like(variance, dtype=bool), gain, every)
 
@@ -207,7 +207,7 @@ def measure(n_record: int, priors: list[str]) -> pd.DataFrame:
             for prior_name in priors:
                 prior = make_prior(prior_name)
                 truth = prior.draw(len(relative), np.random.default_rng([SEED, 1]))
-                variance = relative * brs.radial_variance(scan, truth)
+                variance = relative * brs.geometry.radial_variance(scan, truth)
                 found = {
                     likelihood: posteriors(likelihood, prior, scan, covariance, variance, truth)
                     for likelihood in MAKERS

@@ -41,7 +41,7 @@ def main() -> None:
     )
     truth = json.loads(series.attrs["truth"])
     records = brs.make_records(series, together)
-    relative = records["variance"].values / brs.radial_variance(together, truth["stresses_record"])
+    relative = records["variance"].values / brs.geometry.radial_variance(together, truth["stresses_record"])
     names = [f"{name}/{beam}" for name, scan in scans.items() for beam in scan.beam]
     folder.mkdir(exist_ok=True)
     pd.DataFrame(relative.astype(np.float32), columns=names).to_parquet(folder / "box_records.parquet", index=False)

@@ -21,10 +21,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from year import make_year
+from year import make_year, shipped_noise
 
 import bayes_rs as brs
-from bayes_rs.noise.store import find_shipped_noise
 
 PACKAGES = ("numpy", "scipy", "xarray", "pandas", "emcee", "arviz")
 RECORDS = (328, 1312, 5248)
@@ -42,7 +41,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.one:
         scan, records, workers = options.one
-        print(json.dumps(campaign(scan, int(records), int(workers))))
+        print(json.dumps(long_fit(scan, int(records), int(workers))))
         return
     parts = [
         "# Benchmarks, as measured\n",
@@ -146,16 +145,17 @@ def scaling(runs: int) -> str:
     return table(pd.DataFrame(rows))
 
 
-def campaign(scan_name: str, count: int, workers: int) -> dict[str, float]:
-    """Fit records by a shipped bank; return seconds and peak memory."""
+def long_fit(scan_name: str, count: int, workers: int) -> dict[str, float]:
+    """Fit records with shipped noise; return seconds and peak memory."""
     scan = brs.load_scan(scan_name)
-    noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+    noise = shipped_noise(scan)
     if noise is None:
-        raise TypeError(f"No noise bank is shipped for {scan_name}.")
+        raise TypeError(f"No noise is shipped for {scan_name}.")
     records = make_year(scan, noise, count)
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        brs.fit_campaign(records, scan, Path(folder) / "year", noise=noise, seed=1, workers=workers)
+        output = Path(folder) / "year"
+        brs.fit(records, scan, seed=1, noise=noise, output=output, workers=workers, sampler="auto", draws="none")
         seconds = time.perf_counter() - began
     people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     parent, worker = (resource.getrusage(who).ru_maxrss / 1024.0 for who in people)

@@ -96,7 +96,7 @@ def moments(scan: brs.Scan, duration: float) -> tuple[np.ndarray, np.ndarray | N
     options = {"wind_speed": WIND_SPEED, "duration": duration}
     some = scan if scan.n_beam <= MOST_BEAMS else scan.select(scan.beam[:1])
     sonic = brs.noise.sonic_moments(some, turbulence, position=place, **options)
-    mean = brs.radial_variance(scan, sonic.mean)
+    mean = brs.geometry.radial_variance(scan, sonic.mean)
     if some is not scan:
         return mean, None, sonic
     noise = brs.noise.theory(scan, turbulence, **options)

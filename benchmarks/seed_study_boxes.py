@@ -176,7 +176,7 @@ def main() -> None:
     options = parser.parse_args()
     chosen = {label: scan for label, (scan, _) in scans().items()}
     of_scan = variances({"sonic": sonic_scan(), **chosen}, options.fields)
-    back = np.linalg.inv(brs.design_matrix(sonic_scan()))
+    back = np.linalg.inv(brs.geometry.design_matrix(sonic_scan()))
     rows = []
     for duration in DURATIONS:
         sonic = of_scan["sonic"][duration] @ back.T

@@ -19,7 +19,7 @@ def noisy_spectra(scan, flow, speed, n_records, noise, seed):
     series = brs.simulate(scan, flow, wind_speed=speed, n_records=n_records, seed=seed)
     white = np.sqrt(noise) * np.random.default_rng(seed).standard_normal(series.sizes["sample"])
     series = series.assign(radial_velocity=series["radial_velocity"] + white)
-    return brs.radial_spectra(series, scan, brs.make_records(series, scan))
+    return brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan))
 
 
 def holds(fit, truth):
@@ -55,9 +55,9 @@ def length_scales(n_records=150):
     ):
         scan, flow = brs.load_scan(name, probe="point"), brs.load_turbulence(flow_name)
         spectra = noisy_spectra(scan, flow, speed, n_records, noise, seed=11)
-        fit = brs.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False)
+        fit = brs.spectra.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False)
         error = np.log(fit["length_scale"].values / flow.length_scale)
-        pooled = brs.pool_length_scale(fit)
+        pooled = brs.spectra.pool_length_scale(fit)
         scale, width = float(pooled["length_scale"][0]), float(pooled["length_scale_log_sd"][0])
         print(
             f"| {name} | {spectra.attrs['interval']:g} | {flow_name} | {flow.length_scale:g} | {speed:g} | {noise:g} | "
@@ -70,11 +70,11 @@ def length_scales(n_records=150):
 def record_counts(n_records=400):
     """Print how error and stated width of the pooled length scale go down with the number of records."""
     scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
-    fit = brs.fit_spectra(noisy_spectra(scan, flow, 10.0, n_records, 0.0, 12), scan, progress=False)
+    fit = brs.spectra.fit_spectra(noisy_spectra(scan, flow, 10.0, n_records, 0.0, 12), scan, progress=False)
     print("| records together | groups | mean error of ln L | scatter | stated sd | 90 % hold |")
     print("|---|---|---|---|---|---|")
     for size in (1, 4, 10, 40):
-        pooled = brs.pool_length_scale(fit, np.arange(n_records) // size)
+        pooled = brs.spectra.pool_length_scale(fit, np.arange(n_records) // size)
         error, width = np.log(pooled["length_scale"].values / flow.length_scale), pooled["length_scale_log_sd"].values
         print(
             f"| {size} | {len(error)} | {error.mean():+.3f} | {error.std():.3f} | {width.mean():.3f} | "
@@ -101,7 +101,7 @@ def instrument_noise(n_records=200):
             if interval >= 1.0:
                 ways.append(("spectrum", "floor", {}, flow))
             for method, words, options, taken in ways:
-                found = brs.estimate_instrument_noise(spectra, scan, taken, method=method, **options)
+                found = brs.spectra.estimate_instrument_noise(spectra, scan, taken, method=method, **options)
                 error = found["instrument_noise"].values[:, 0] - noise
                 width = found["instrument_noise_sd"].values[:, 0]
                 held, standard_error = (np.abs(error) < NINETY * width).mean(), error.std() / np.sqrt(n_records)

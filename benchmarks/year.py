@@ -31,33 +31,39 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.scan or ["6-beam", "50-beam"]:
         scan = brs.load_scan(name)
-        noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+        noise = shipped_noise(scan)
         if noise is None:
-            print(f"{name}: no noise bank is shipped")
+            print(f"{name}: no noise is shipped")
             continue
         records = make_year(scan, noise, arguments.records)
         for share in (16, 4, 1):
             some = records.isel(record=slice(0, max(arguments.records // share, 1)))
             with tempfile.TemporaryDirectory() as folder:
                 began = time.perf_counter()
-                campaign = brs.fit_campaign(
+                found = brs.fit(
                     some,
                     scan,
-                    Path(folder) / "year",
-                    noise=noise,
                     seed=1,
+                    noise=noise,
+                    output=Path(folder) / "year",
+                    draws="none",
                     sampler=arguments.sampler,
                     workers=arguments.workers,
                 )
                 seconds = time.perf_counter() - began
+                flagged = {word: count for word, count in found.flags.items() if count}
             people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
             own, worker = (resource.getrusage(who).ru_maxrss / 1024 for who in people)
-            flagged = {word: count for word, count in campaign.flags.items() if count}
             print(
-                f"{name}: {campaign.n_record} records, {arguments.workers} workers, {seconds:.1f} s, "
-                f"{1e3 * seconds / campaign.n_record:.2f} ms a record, {own:.0f} and {worker:.0f} MB, {flagged}",
+                f"{name}: {found.n_record} records, {arguments.workers} workers, {seconds:.1f} s, "
+                f"{1e3 * seconds / found.n_record:.2f} ms a record, {own:.0f} and {worker:.0f} MB, {flagged}",
                 flush=True,
             )
+
+
+def shipped_noise(scan: brs.Scan) -> brs.Noise | None:
+    """Return the noise that is shipped for a scan, over wind speeds and directions; None if there is none."""
+    return find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
 
 
 def make_year(scan: brs.Scan, noise: brs.Noise, count: int) -> xr.Dataset:

@@ -7,7 +7,6 @@ where the time of reading goes.
 
 import argparse
 import cProfile
-import json
 import os
 import pstats
 import resource
@@ -18,14 +17,15 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from bayes_rs.fits.long_job import run_folder_fit
 
 import bayes_rs as brs
+from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.readers.reading import FileOptions
 from bayes_rs.records.record_store import store_records
 
 START = np.datetime64("2020-09-04", "ns")
 RECORDS = 144
-READING = {"positive": "away"}
+POSITIVE = "away"
 """As simulated, whatever the instrument's own files say."""
 
 
@@ -47,16 +47,24 @@ def main() -> None:
         profile(file, scan, arguments.folder / "store")
         return
     for _ in range(arguments.repeat):
-        output = arguments.folder / "out"
+        settings = brs.Settings().changed(
+            files=[str(file)],
+            scan=arguments.scan,
+            positive=POSITIVE,
+            sampler="auto",
+            draws="none",
+            output=str(arguments.folder / "out"),
+            workers=arguments.workers,
+            overwrite=True,
+        )
         began = time.perf_counter()
-        outcome = run_folder_fit(file, scan, output, reading=READING, workers=arguments.workers, overwrite=True)
+        found = brs.fit_files(settings)
         seconds = time.perf_counter() - began
-        run = json.loads((output / "run.json").read_text(encoding="utf-8"))
         people = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
         own, worker = (resource.getrusage(who).ru_maxrss / 1024 for who in people)
-        flagged = {word: count for word, count in outcome.campaign.flags.items() if count}
+        flagged = {word: count for word, count in found.flags.items() if count}
         print(
-            f"{outcome.n_fitted} of {outcome.n_record} records, {seconds:.1f} s {run['seconds']}, {own:.0f} and "
+            f"{found.n_fitted} of {found.n_record} records, {seconds:.1f} s {found.run['seconds']}, {own:.0f} and "
             f"{worker:.0f} MB, {flagged}, load {os.getloadavg()[0]:.1f}",
             flush=True,
         )
@@ -84,7 +92,8 @@ def profile(file: Path, scan: brs.Scan, store: Path) -> None:
     """Print where the time of reading and making records goes."""
     shutil.rmtree(store, ignore_errors=True)
     profiler = cProfile.Profile()
-    profiler.runcall(store_records, file, scan, store, reading=READING)
+    with begin_result_folder(store, key="profile", key_parts={}) as folder:
+        profiler.runcall(store_records, [file], scan, folder, reading=FileOptions(positive=POSITIVE))
     pstats.Stats(profiler).sort_stats("tottime").print_stats(25)
 
 

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import tomllib
+from functools import partial
 from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +30,9 @@ _command = [sys.executable, "-m", "ipykernel_launcher", "--log-level=ERROR", "-f
 _kernel.write_text(json.dumps({"argv": _command, "display_name": "Python 3", "language": "python"}), encoding="utf-8")
 os.environ["JUPYTER_PATH"] = str(_kernel.parents[2])
 
-from format_table import MARK, format_table  # noqa: E402 - it lies beside this file
+import api_tables  # noqa: E402 - it lies beside this file
+import format_table  # noqa: E402 - as above
+import settings_table  # noqa: E402 - as above
 
 project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["name"]
 author = "The bayes_rs developers"
@@ -65,7 +68,10 @@ nb_merge_streams = True
 add_module_names = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
-autosummary_generate = True
+# the pages of names are made for what is in this file: the lists of api.md come later, when its page is read
+_names = HERE / "_build" / "names.rst"
+_names.write_text(api_tables.autosummaries("../api"), encoding="utf-8")
+autosummary_generate = [str(_names)]
 autosummary_imported_members = True
 default_role = "py:obj"
 numpydoc_show_class_members = False
@@ -96,7 +102,13 @@ mathjax3_config = {"svg": {"fontCache": "global"}, "options": {"enableMenu": Fal
 
 _MIRRORED = {"notebooks": ("*.ipynb",), "benchmarks": ("README.md", "measured.md", "*.csv", "*.png")}
 _EQUATION = re.compile(r"^ {4,}\S")
-_STUB = (ROOT / "bayes_rs/__init__.pyi").read_text(encoding="utf-8")
+_STUB = "\n".join(file.read_text(encoding="utf-8") for file in sorted((ROOT / "bayes_rs").rglob("__init__.pyi")))
+_PLACES = {
+    name: f"{api_tables.place_of(subject)}.{name}"
+    for subject in reversed(api_tables.SUBJECTS)
+    for name in api_tables.listed(subject)
+}
+_OUR_NAME = re.compile(r"(?<![`:\w])`(" + "|".join(_PLACES) + r")`(?!`)")
 _OUR_TYPE = re.compile(r"\b(" + "|".join(re.findall(r" as ([A-Z][a-z]\w+)$", _STUB, re.MULTILINE)) + r")\b")
 
 
@@ -113,10 +125,18 @@ def mirror_siblings(*_: Any) -> None:
             shutil.copy2(file, target / file.name)
 
 
-def table_of_formats(_: Any, docname: str, source: list[str]) -> None:
-    """Put the table of file formats where its page has a mark for it."""
-    if docname == "formats":
-        source[0] = source[0].replace(MARK, format_table())
+_MADE = {
+    "formats": {format_table.MARK: format_table.format_table},
+    "settings": {settings_table.MARK: settings_table.option_tables},
+    "api": {api_tables.mark(subject): partial(api_tables.names_of, subject) for subject in api_tables.SUBJECTS},
+}
+"""What is made from the program, by the page and by the mark that stands for it."""
+
+
+def made_tables(_: Any, docname: str, source: list[str]) -> None:
+    """Put tables that are made from the program where their pages have a mark for them."""
+    for mark, made in _MADE.get(docname, {}).items():
+        source[0] = source[0].replace(mark, made())
 
 
 def point_inside(_: Any, docname: str, source: list[str]) -> None:
@@ -131,6 +151,10 @@ def point_inside(_: Any, docname: str, source: list[str]) -> None:
 def show_docstring(_: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Show indented equations as they stand, no bar of |k| as a substitution, and our own types as links."""
     del what, name, obj, options
+
+    def linked(match: re.Match[str]) -> str:
+        return f"`~{_PLACES[match[1]]}`"
+
     shown: list[str] = []
     section = ""
     literal = False
@@ -151,13 +175,13 @@ def show_docstring(_: Any, what: str, name: str, obj: Any, options: Any, lines: 
             names, of, kind = line.partition(" : ")
             shown.append(names + of + _OUR_TYPE.sub(r"`\1`", kind))
         else:
-            shown.append(line.replace("|", r"\|"))
+            shown.append(_OUR_NAME.sub(linked, line.replace("|", r"\|")))
     lines[:] = shown
 
 
 def setup(app: Any) -> None:
     """Connect what is above."""
     app.connect("config-inited", mirror_siblings)
-    app.connect("source-read", table_of_formats)
+    app.connect("source-read", made_tables)
     app.connect("source-read", point_inside)
     app.connect("autodoc-process-docstring", show_docstring, priority=400)

@@ -5,17 +5,19 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from bayes_rs.fits.long_job import run_folder_fit
 
-from bayes_rs import MannTurbulence, load_scan, simulate
+from bayes_rs import MannTurbulence, Settings, fit_files, load_scan, simulate
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.records import record_store
 
-SCAN = load_scan("2-beam")
+SCAN_NAME = "2-beam"
+SCAN = load_scan(SCAN_NAME)
 FLOW = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2)
 DURATION = 60.0
 RECORDING = {"duration": DURATION, "min_availability": 0.5}
-FITTING = {"target_ess": 100, "seed": 3}
+FITTING = {"target_ess": 100, "seed": 3, "sampler": "auto"}
+LONG = {"draws": "none", "on_bad_file": "skip"}
+"""As a user fits a year of files: the tests look at the tables, and at what is said of files that cannot be read."""
 N_RECORD = 24
 
 
@@ -43,7 +45,11 @@ def write_noise(file):
 
 
 def run(files, output, noise, **options):
-    return run_folder_fit(files, SCAN, output, recording=RECORDING, noise_file=noise, **{**FITTING, **options})
+    """Fit files into a folder; options are those of settings, by their names."""
+    names = [str(name) for name in (files if isinstance(files, list) else [files])]
+    given = {"scan": SCAN_NAME, "noise": str(noise), **RECORDING, **FITTING, **LONG, **options}
+    more = {"say": given.pop("say")} if "say" in given else {}
+    return fit_files(Settings().changed(files=names, output=str(output), **given), **more)
 
 
 def stop_at_write(number, sent):

@@ -1,14 +1,15 @@
-"""Output folders of fits for the tests of the report: both kinds, with records that failed, and none that did not."""
+"""Folders of fits for the tests of the report: with and without draws, with records that failed and without."""
 
 import json
 import shutil
 from pathlib import Path
 
 import xarray as xr
-from campaign_scene import OPTIONS, SCAN, make_records
+from fit_scene import OPTIONS, SCAN, fit_to, make_records
 
 import bayes_rs as brs
-from bayes_rs import demo_file, fit_campaign, load_scan, read, run_fit
+from bayes_rs import demo_file, fit, load_scan, read
+from bayes_rs.result_folder import seal_folder
 
 EVIL = "<script>document.title = 'broken'</script>\"'&.csv"
 
@@ -30,7 +31,7 @@ def result_folder(folder, *, n_record=6, flagged=False, timed=True):
         records["flag"].values[:] = 1
     if not timed:
         records = records.drop_vars("time")
-    run_fit(records, scan, folder, target_ess=200, seed=1, source_files=["six.parquet"])
+    fit(records, scan, output=folder, seed=1, target_ess=200)
     return Path(folder)
 
 
@@ -46,9 +47,10 @@ def evil_folder(folder, source):
     records.attrs["read_report"] = json.dumps(report)
     (path / "records.nc").unlink()
     records.to_netcdf(path / "records.nc", engine="h5netcdf")
+    seal_folder(path)  # as if our own run had written all this
     return path
 
 
 def table_folder(folder, *, draws="none", n_record=23):
     """A folder of tables: 23 records, seven of them not fitted."""
-    return fit_campaign(make_records(n_record), SCAN, folder, draws=draws, **OPTIONS).folder
+    return Path(fit_to(make_records(n_record), SCAN, folder, draws=draws, **OPTIONS).place)

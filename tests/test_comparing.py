@@ -9,15 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_rs import InputError, compare, enough_beams, load_scan, load_turbulence, plot_comparison, save_scan
+from bayes_rs import InputError, compare, load_scan, load_turbulence, save_scan
 from bayes_rs.cli import main
 from bayes_rs.design.compare_job import comparison_words, run_compare
 from bayes_rs.design.compare_options import CompareOptions
-from bayes_rs.design.comparing import COLUMNS
+from bayes_rs.design.comparing import COLUMNS, enough_beams
+from bayes_rs.design.comparison_plot import comparison
 from bayes_rs.design.scan_grid import DESIGN
 from bayes_rs.design.trial_records import drawn_records, explained_errors
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.noise.theory import theory_noise
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.options import options_of
 
 FLOW = load_turbulence("fu-2022")
@@ -187,8 +188,8 @@ class TestDrawnRecords:
         scan = load_scan(name, opening_angle_deg=40.0)
         noise, truth = theory_noise(scan, FLOW, wind_speed=10.0), FLOW.stresses()
         root, turn = explained_errors(noise, truth)
-        covariance = np.log1p(noise.covariance)
-        slope = noise.gain / (noise.gain @ truth)[:, np.newaxis]
+        covariance = np.log1p(noise.covariance[0])
+        slope = noise.gain[0] / (noise.gain[0] @ truth)[:, np.newaxis]
         explained = slope @ np.linalg.pinv(slope.T @ np.linalg.solve(covariance, slope), rcond=1e-10) @ slope.T
         # rounding, enlarged by the condition of the normal equations, and the floor under the eigenvalues of Σ
         np.testing.assert_allclose(root @ turn @ turn.T @ root, explained, atol=1e-9)
@@ -203,9 +204,9 @@ class TestDrawnRecords:
         """Even numbers: 4096 of them have the moments of ten times as many random ones, five times their error."""
         scan = load_scan(name)
         noise, truth = theory_noise(scan, FLOW, wind_speed=10.0), FLOW.stresses()
-        mean = noise.gain @ truth
+        mean = noise.gain[0] @ truth
         log = np.log(drawn_records(scan, noise, mean, truth, 4096, 1)["variance"].values / mean)
-        covariance = np.log1p(noise.covariance)
+        covariance = np.log1p(noise.covariance[0])
         error = 5.0 * covariance.max() * np.sqrt(2.0 / 40960)
         np.testing.assert_allclose(log.mean(axis=0), -0.5 * np.diag(covariance), atol=5.0 * np.sqrt(0.06 / 40960))
         np.testing.assert_allclose(np.atleast_2d(np.cov(log.T)), covariance, atol=error)
@@ -323,7 +324,7 @@ class TestScans:
 
 class TestPicture:
     def test_a_bar_for_every_scan_and_case(self, table):
-        figure = plot_comparison(table, stresses=("uu", "vv"))
+        figure = comparison(table, stresses=("uu", "vv"))
         assert len(figure.axes) == 2
         bars = figure.axes[0].patches
         widths = sorted(bar.get_width() for bar in bars)
@@ -331,7 +332,7 @@ class TestPicture:
         np.testing.assert_allclose(widths, sorted(wanted))
 
     def test_contours_of_a_grid_where_two_things_vary(self, grid):
-        figure = plot_comparison(grid)
+        figure = comparison(grid)
         assert [panel.get_title()[:2] for panel in figure.axes] == list(STRESSES)
         assert figure.axes[3].get_xlabel() == "opening angle, degrees"
         assert figure.axes[3].get_ylabel() == "focus distance, m"
@@ -339,25 +340,25 @@ class TestPicture:
         figure.savefig(io.BytesIO(), format="png")
 
     def test_lines_where_one_thing_varies(self, beams, durations):
-        figure = plot_comparison(beams, stresses=["uu", "vw"])
+        figure = comparison(beams, stresses=["uu", "vw"])
         lines = figure.axes[1].lines
         assert [line.get_linestyle() for line in lines] == ["--", "-"]
         np.testing.assert_array_equal(lines[1].get_ydata(), widths(beams, stress="vw", centre=True))
-        assert plot_comparison(durations).axes[3].get_xlabel() == "record length, s"
+        assert comparison(durations).axes[3].get_xlabel() == "record length, s"
 
     def test_bars_where_it_is_no_grid(self, grid):
         """Three things, or two over which not all combinations are there, are no picture of two axes."""
         part = grid[~((grid["opening_angle_deg"] == 30.0) & (grid["focus_distance"] == 30.0))]
         both = pd.concat([grid, grid.assign(duration=1200.0)])
         for table in (part, both):
-            assert len(plot_comparison(table).axes) == 4
+            assert len(comparison(table).axes) == 4
 
     def test_refusals(self, table):
         with pytest.raises(InputError, match="stress"):
-            plot_comparison(table, stresses=("xx",))
+            comparison(table, stresses=("xx",))
         for other in (pd.DataFrame({"a": [1]}), table.iloc[:0]):
             with pytest.raises(InputError, match="Not a table of scans"):
-                plot_comparison(other)
+                comparison(other)
 
 
 def test_the_folder_holds_table_figure_and_json(tmp_path):
@@ -366,6 +367,7 @@ def test_the_folder_holds_table_figure_and_json(tmp_path):
         "comparison.csv",
         "comparison.json",
         "comparison.png",
+        "fingerprints.jsonl",
         "run.json",
     ]
     content = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_rs import InputError, fit, load_scan, load_turbulence, lumley, radial_variance, rotate_stress
+from bayes_rs import InputError, fit, load_scan, load_turbulence
 from bayes_rs.fits.derived import DERIVED, INTENSITIES, lumley_coordinates, with_derived
+from bayes_rs.geometry.forward import radial_variance
+from bayes_rs.geometry.stress import rotate_stress
 from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.plot.lumley_plot import lumley
 
 ISOTROPIC = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
 ONE_COMPONENT = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -118,8 +121,9 @@ class TestPlot:
             lumley(result, 1)
 
     def test_no_fitted_record_is_a_figure_too(self, result):
-        broken = result.copy(deep=True)
-        broken["posterior/stress"][:] = np.nan
+        records = result.records.assign(flag=result.records["flag"] * 0 + 1)
+        scan = result.scan
+        broken = fit(records, scan, noise=calibrate(scan, "fu-2022", wind_speed=10.0), seed=1, sampler="direct")
         axis = lumley(broken).axes[0]
         assert axis.get_title().startswith("0 records")
         assert len(axis.containers[0].lines[0].get_xydata()) == 0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scenes import plain_noise
 
-from bayes_rs import Nuisances, load_scan, make_prior
+from bayes_rs import Nuisances, load_scan
 from bayes_rs.fits.digest import digest
 from bayes_rs.noise.file import load_noise
+from bayes_rs.priors.registry import make_prior
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ BEST = {"lsq": "6-beam", "lsq-no-cross": "6-beam"}
 
 def noise_free(stress, scan, **options):
     """Records of a scan that measures these stresses exactly, at the scan's own yaw."""
-    variance = brs.radial_variance(scan, np.atleast_2d(stress))
+    variance = brs.geometry.radial_variance(scan, np.atleast_2d(stress))
     return records_of(variance, scan, yaw_deg=float(np.rad2deg(scan.yaw)), **options)
 
 
@@ -133,7 +133,7 @@ class TestLaws:
     @given(STRESS)
     def test_the_two_simple_estimators_are_the_ends_of_what_the_cone_allows(self, stress):
         """uu of every tensor that fits the cone's mean variance with 0 ≤ (vv + ww)/2 ≤ uu lies between them."""
-        variance = brs.radial_variance(CONE, stress).mean()
+        variance = brs.geometry.radial_variance(CONE, stress).mean()
         low, high = (stresses(stress, CONE, method=name)[0] for name in ("isotropy", "lsp"))
         for across, end in ((lambda uu: uu, low), (lambda _: 0.0, high)):
             assert end * COSINE_SQUARED + across(end) * (1.0 - COSINE_SQUARED) == pytest.approx(variance, abs=ROUNDING)
@@ -169,7 +169,7 @@ class TestLaws:
         """The same variances at another yaw are of the tensor turned with the wind's frame."""
         records = noise_free(stress, SIX)
         turned = records.assign(yaw=records["yaw"] + yaw_deg)
-        wanted = brs.rotate_stress(stress, yaw_matrix(np.deg2rad(yaw_deg)))
+        wanted = brs.geometry.rotate_stress(stress, yaw_matrix(np.deg2rad(yaw_deg)))
         np.testing.assert_allclose(brs.estimate(turned, SIX)["stress"].values[0], wanted, atol=ROUNDING)
 
     def test_a_cone_seen_from_the_side_leaves_other_stresses_open(self):
@@ -195,7 +195,7 @@ class TestAgainstNumpy:
         found = brs.estimate(records, scan)["stress"].values
         for k in range(40):
             used = records["flag"].values[k] == 0
-            matrix = brs.design_matrix(scan.at_yaw(np.deg2rad(float(records["yaw"][k]))))[used]
+            matrix = brs.geometry.design_matrix(scan.at_yaw(np.deg2rad(float(records["yaw"][k]))))[used]
             if used[-1]:
                 wanted = np.linalg.lstsq(matrix, records["variance"].values[k, used])[0]
                 np.testing.assert_allclose(found[k], wanted, rtol=1e-10, atol=1e-10)  # rounding × condition, 100
@@ -328,7 +328,7 @@ class TestStandardErrors:
         records = records_of(rng.uniform(0.9, 1.1, (1, 51)), scan, yaw_deg=7.0)
         records["flag"][0, ::3] = 1
         used = records["flag"].values[0] == 0
-        matrix = brs.design_matrix(scan.at_yaw(np.deg2rad(7.0)))[used]
+        matrix = brs.geometry.design_matrix(scan.at_yaw(np.deg2rad(7.0)))[used]
         y = records["variance"].values[0, used]
         mean = matrix @ np.linalg.lstsq(matrix, y)[0]
         inverse = np.linalg.inv(noise.covariance[0][np.ix_(used, used)] * np.outer(mean, mean))
@@ -460,8 +460,10 @@ class TestMeasuredHour:
             assert found["identified"].all()
             for k in range(6):
                 variance = [np.nanvar(velocity[(beam == b) & (start == k)]) for b in range(6)]
-                wanted = np.linalg.solve(brs.design_matrix(scan), variance)
+                wanted = np.linalg.solve(brs.geometry.design_matrix(scan), variance)
                 np.testing.assert_allclose(found["stress"].values[k], wanted, atol=1e-10)  # rounding × condition, 51
-                bad += np.linalg.eigvalsh(brs.unpack_stress(wanted))[0] < 0.0
-                assert bool(found["realizable"][k]) == (np.linalg.eigvalsh(brs.unpack_stress(wanted))[0] >= 0.0)
+                bad += np.linalg.eigvalsh(brs.geometry.unpack_stress(wanted))[0] < 0.0
+                assert bool(found["realizable"][k]) == (
+                    np.linalg.eigvalsh(brs.geometry.unpack_stress(wanted))[0] >= 0.0
+                )
         assert bad == 21

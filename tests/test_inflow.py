@@ -8,15 +8,16 @@ from other_likelihoods import OTHER_LIKELIHOODS
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import InputError, Nuisances, WeakPrior, fit, fit_campaign, inflow_confounding, load_scan, radial_variance
+from bayes_rs import InputError, Nuisances, fit, inflow_confounding, load_scan
 from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
-from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.forward import design_matrix, radial_variance
 from bayes_rs.geometry.inflow import gradient_columns
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, REFERENCE_STRESS, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
+from bayes_rs.priors.ratio import WeakPrior
 
 NEUTRAL = [1.0, 0.5, 0.27, 0.0, -0.15, 0.0]
 MAKERS = {**LIKELIHOODS, **OTHER_LIKELIHOODS}
@@ -419,12 +420,13 @@ class TestFit:
             np.abs(found.std(axis=1) / sd - 1.0).max() < 0.03
         )  # tails of uu make its variance less sure than a normal
 
-    def test_a_campaign_has_the_numbers_of_the_fit(self, tmp_path):
+    def test_a_fit_in_a_folder_has_the_numbers_of_its_draws(self, tmp_path):
         scan = load_scan("6-beam")
         noise = plain_noise(scan)
         records = records_of(draw_variances(WeakPrior().draw(3, 1), scan, noise, np.random.default_rng(1)), scan)
         options = {"noise": noise, "seed": 1, "target_ess": 100, "nuisances": Nuisances(vertical_gradient_sd=0.5)}
-        campaign = fit_campaign(records, scan, tmp_path / "out", **options)
-        result = fit(records, scan, sampler="auto", **options)
+        options["sampler"] = "auto"
+        found = fit(records, scan, output=tmp_path / "out", draws="none", **options)
+        result = fit(records, scan, **options)
         mean = result["posterior/stress"].mean(("chain", "draw")).values.ravel()
-        np.testing.assert_allclose(campaign.summary()["mean"], mean, rtol=1e-12)
+        np.testing.assert_allclose(found.summary()["mean"], mean, rtol=1e-12)

@@ -8,9 +8,11 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
-from bayes_rs import InputError, Nuisances, WeakPrior, compare_inflow, inflow_in_words, load_scan
+from bayes_rs import InputError, Nuisances, compare_inflow, load_scan
+from bayes_rs.fits.inflow_comparison import inflow_in_words
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.priors.interface import NormalPrior
+from bayes_rs.priors.ratio import WeakPrior
 
 SHAPE = np.array([1.0, 0.5, 0.27, 0.05, -0.15, 0.02])
 BOTH = Nuisances(vertical_gradient_sd=0.5, lateral_gradient_sd=0.5)

@@ -17,20 +17,20 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from bayes_rs.fits.fit_job import open_result
 from folder_scene import N_RECORD, make_series, run, write_file, write_noise
 from format_files import compress, series_of
 from ray_files import six_beam
+from scenes import plain_noise, records_of
 
+from bayes_rs import fit, open_fit
 from bayes_rs.errors import InputError
-from bayes_rs.fits import fit_job
 from bayes_rs.noise.file import load_noise
 from bayes_rs.readers import netcdf_guard
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault
 from bayes_rs.readers.reading import read
 from bayes_rs.records.record_files import open_records
-from bayes_rs.report import folder as report_folder
+from bayes_rs.result_folder import seal_folder
 
 SIX = six_beam(45.0, step=1.0)
 SHORT = series_of(SIX, n_scan=8)
@@ -155,19 +155,16 @@ class TestDamagedFiles:
         assert f"File {str(file)!r} cannot be read as NetCDF" in str(info.value)
         assert NO_END in str(info.value)
 
-    @pytest.mark.usefixtures("mischief")
-    def test_a_result(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(fit_job, "POSTERIOR_FILE", "hangs.nc")
-        file = write(tmp_path / "hangs.nc")
-        with pytest.raises(InputError) as info:
-            open_result(tmp_path)
-        assert str(info.value) == f"File {str(file)!r} cannot be read as NetCDF: {NO_END}."
-
     @pytest.mark.usefixtures("guard")
-    def test_records_of_a_result(self, tmp_path):
-        plant_endless_heap(write(tmp_path / "records.nc"))
+    def test_records_of_a_fit(self, tmp_path):
+        """Another program wrote them, and a list of files that fits."""
+        records = records_of(np.ones((2, SIX.n_beam)), SIX)
+        fit(records, SIX, output=tmp_path / "out", seed=1, noise=plain_noise(SIX), target_ess=50, draws="none")
+        (tmp_path / "out" / "records.nc").unlink()
+        plant_endless_heap(write(tmp_path / "out" / "records.nc"))
+        seal_folder(tmp_path / "out")
         with pytest.raises(InputError, match=r"records\.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            report_folder._read_records(tmp_path, 1)
+            _ = open_fit(tmp_path / "out").records
 
     @pytest.mark.usefixtures("mischief")
     def test_a_compressed_file_is_named_as_the_user_knows_it(self, tmp_path):
@@ -199,10 +196,11 @@ class TestDamagedFiles:
         for name in ("dies.nc", "hangs.nc"):
             series.to_netcdf(folder / name, engine="h5netcdf")
         plant_endless_heap(write(folder / "b.nc"))
-        outcome = run(folder, tmp_path / "out", tmp_path / "noise.nc")
-        assert sorted(Path(name).name for name in outcome.bad_files) == ["b.nc", "dies.nc", "hangs.nc"]
-        assert NO_END in outcome.bad_files[str(folder / "hangs.nc")]
-        assert outcome.n_record == N_RECORD
+        found = run(folder, tmp_path / "out", tmp_path / "noise.nc")
+        bad = found.run["bad_files"]
+        assert sorted(Path(name).name for name in bad) == ["b.nc", "dies.nc", "hangs.nc"]
+        assert NO_END in bad[str(folder / "hangs.nc")]
+        assert found.n_record == N_RECORD
 
     def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
         """The library can take gigabytes before it says so: the next file has a new process."""

@@ -48,7 +48,7 @@ class TestTrace:
     )
     def test_is_the_closed_form_and_the_sum_of_nine_variances(self, m, m0, angle):
         beams = around(m, m0, angle)
-        matrix = brs.design_matrix(beams)
+        matrix = brs.geometry.design_matrix(beams)
         variance = np.diag(np.linalg.inv(matrix.T @ matrix))
         nine = variance[:3].sum() + 2.0 * variance[3:].sum()
         np.testing.assert_allclose(closed_form(m, m0, angle), nine, rtol=1e-9)
@@ -107,7 +107,9 @@ class TestLaws:
         turn = np.array([[1.0, 0, 0], [0, np.cos(angle), np.sin(angle)], [0, -np.sin(angle), np.cos(angle)]])
         both = (scan, replace(scan, beam_direction=scan.beam_direction @ turn))
         plain, turned = (theory_noise(one, ISOTROPIC, wind_speed=10.0) for one in both)
-        np.testing.assert_allclose(turned.covariance, plain.covariance, atol=2.0 * plain.details["covariance_error"])
+        np.testing.assert_allclose(
+            turned.covariance[0], plain.covariance[0], atol=2.0 * plain.details["covariance_error"]
+        )
 
     @pytest.mark.parametrize("criterion", CRITERIA)
     def test_mirror_images_are_equally_good(self, criterion):
@@ -126,14 +128,14 @@ class TestLaws:
     def test_one_more_beam_never_hurts(self):
         scan = random_scan(np.random.default_rng(6), 6)
         fewer = scan.select(scan.beam[:5])
-        assert brs.scan_criterion(scan) < brs.scan_criterion(fewer)
+        assert brs.design.scan_criterion(scan) < brs.design.scan_criterion(fewer)
 
     def test_dissipation_has_hardly_an_influence(self):
         """It scales R, and the noise is relative; the prior's size of uu is all that knows it, and is wide."""
         scan = random_scan(np.random.default_rng(7), 6)
-        wide = brs.WeakPrior(log_sd_uu=50.0)
+        wide = brs.priors.WeakPrior(log_sd_uu=50.0)
         values = [
-            brs.scan_criterion(scan, turbulence=replace(SEED, dissipation=dissipation), prior=wide)
+            brs.design.scan_criterion(scan, turbulence=replace(SEED, dissipation=dissipation), prior=wide)
             for dissipation in (0.01, 0.05)
         ]
         np.testing.assert_allclose(values[1], values[0], rtol=1e-6)
@@ -152,7 +154,7 @@ class TestPosterior:
     def test_widths_are_those_of_a_fit_where_the_posterior_is_narrow(self):
         """Eight hours of expected variances: the data decide, and only sampling error (2 %) and curvature remain."""
         scan, hours = brs.load_scan("6-beam", opening_angle_deg=45.0), 28800.0
-        prior, noise = centred_prior(SEED, 0.4), brs.noise.theory(scan, SEED, wind_speed=10.0, duration=hours)
+        prior, noise = centred_prior(SEED, 0.4), theory_noise(scan, SEED, wind_speed=10.0, duration=hours)
         variance = noise.gain[0] @ SEED.stresses() * np.exp(-0.5 * np.log1p(np.diag(noise.covariance[0])))
         records = records_of(variance[np.newaxis], scan).assign_attrs(duration=hours)
         result = brs.fit(records, scan, noise=noise, prior=prior, seed=1, target_ess=4000, progress=False)
@@ -172,13 +174,13 @@ class TestPosterior:
 
     @pytest.mark.parametrize("prior", ["weak", "ratio", "flat:bound=20"])
     def test_priors_reach_the_turbulence(self, prior):
-        covariance = local_prior_covariance(brs.make_prior(prior), SEED)
+        covariance = local_prior_covariance(brs.priors.make_prior(prior), SEED)
         assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
 def centred_prior(flow, spread):
     uu, vv, ww, _, uw, _ = flow.stresses().tolist()
-    return brs.RatioPrior(
+    return brs.priors.RatioPrior(
         uu=uu,
         sd_uu=spread,
         vv=vv / uu,
@@ -275,7 +277,7 @@ class TestSearch:
         flows = ["fu-2022", "stable-onshore"]
         alone = [brs.optimize_scan(turbulence=flow, **options) for flow in flows]
         both = brs.optimize_scan(turbulence=flows, **options)
-        each = [brs.scan_criterion(both.scan, turbulence=flow) for flow in flows]
+        each = [brs.design.scan_criterion(both.scan, turbulence=flow) for flow in flows]
         np.testing.assert_allclose(list(both.by_state.values()), each, rtol=1e-12)
         assert both.value == max(both.by_state.values())
         for one in alone:  # a scan cannot do better in the worst case than the best for one state does in that
@@ -284,15 +286,15 @@ class TestSearch:
     def test_the_worst_of_several_wind_directions_counts(self):
         options = {"n_beams": 3, "max_angle_deg": 30.0, "turbulence": SEED, "n_starts": 2}
         both = brs.optimize_scan(yaw_deg=[0.0, 25.0], **options)
-        each = [brs.scan_criterion(both.scan.with_yaw(np.deg2rad(yaw)), turbulence=SEED) for yaw in (0, 25)]
+        each = [brs.design.scan_criterion(both.scan.with_yaw(np.deg2rad(yaw)), turbulence=SEED) for yaw in (0, 25)]
         assert list(both.by_state) == ["fu-2022, yaw 0°", "fu-2022, yaw 25°"]
         np.testing.assert_allclose(list(both.by_state.values()), each, rtol=1e-12)
         np.testing.assert_allclose(
-            brs.scan_criterion(both.scan, turbulence=SEED, yaw_deg=[0.0, 25.0]), max(each), rtol=1e-12
+            brs.design.scan_criterion(both.scan, turbulence=SEED, yaw_deg=[0.0, 25.0]), max(each), rtol=1e-12
         )
         straight = brs.optimize_scan(**options)
         assert straight.value <= both.by_state["fu-2022, yaw 0°"] * (1.0 + SAME_OPTIMUM)
-        assert brs.scan_criterion(straight.scan, turbulence=SEED, yaw_deg=25.0) > both.value
+        assert brs.design.scan_criterion(straight.scan, turbulence=SEED, yaw_deg=25.0) > both.value
 
     def test_a_dwell_makes_scans_of_more_beams_slower(self):
         for planes, visits in (("simultaneous", 6), ("sequential", 12)):
@@ -320,7 +322,7 @@ class TestSearch:
 
     def test_what_is_reported_is_of_the_scan(self):
         best = brs.optimize_scan(n_beams=4, max_angle_deg=30.0, turbulence=SEED, n_starts=3)
-        np.testing.assert_allclose(brs.scan_criterion(best.scan, turbulence=SEED), best.value, rtol=1e-12)
+        np.testing.assert_allclose(brs.design.scan_criterion(best.scan, turbulence=SEED), best.value, rtol=1e-12)
         np.testing.assert_allclose(best.starts.min(), best.value, rtol=1e-9)
         np.testing.assert_allclose(np.mean(list(best.widths.values())), best.value, rtol=1e-12)
         assert np.all(np.diff(best.starts) >= 0.0)
@@ -331,7 +333,7 @@ class TestSearch:
         four = brs.load_scan("4-beam", focus_distance=98.0)
         shipped = replace(four, beam_time=best.scan.beam_time, scan_duration=best.scan.scan_duration)
         np.testing.assert_allclose(
-            best.references["4-beam as shipped"], brs.scan_criterion(shipped, turbulence=SEED), rtol=1e-9
+            best.references["4-beam as shipped"], brs.design.scan_criterion(shipped, turbulence=SEED), rtol=1e-9
         )
 
     def test_times_are_shared(self):
@@ -411,7 +413,7 @@ class TestFiles:
         scan = replace(
             brs.load_scan("staring"),
             title='a "b" \\ c\nd\té',
-            file_format={"columns": {"a b": "c=1"}, "beam_numbers": {}},
+            file_format={"columns": {"time": "c = 1"}},
         )
         back = brs.load_scan(brs.save_scan(scan, tmp_path / "x.toml"))
         assert (back.title, back.file_format) == (scan.title, scan.file_format)
@@ -459,12 +461,13 @@ class TestCommand:
         assert "5 around one at 45°" in out
         assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [
             "beams.png",
+            "fingerprints.jsonl",
             "optimum.json",
             "run.json",
             "scan.toml",
         ]
         scan = brs.load_scan(tmp_path / "out" / "scan.toml")
-        np.testing.assert_allclose(brs.scan_criterion(scan, "trace"), 12.6, rtol=REACHED)
+        np.testing.assert_allclose(brs.design.scan_criterion(scan, "trace"), 12.6, rtol=REACHED)
         assert scan.focus_distance.tolist() == [80.0] * 6
         numbers = json.loads((tmp_path / "out" / "optimum.json").read_text(encoding="utf-8"))
         assert len(numbers["starts"]) == 4
@@ -516,7 +519,7 @@ class TestCommand:
             (("--beams", 6), "The beams have no limit"),
             (
                 ("--beams", 6, "--max-angle", 30, "--blocked", "left"),
-                "Invalid range 'left': write it as FROM:TO",
+                "Invalid blocked range 'left': write it as FROM:TO",
             ),
         ],
     )
@@ -532,7 +535,7 @@ class TestCommand:
         _, out, _ = self.run(monkeypatch, capsys, "--help")
         for cls in (ScanLimits, CriterionOptions):
             for entry in options_of(cls):
-                assert entry.flag in out, entry.name
+                assert entry.flag.partition("/")[0] in out, entry.name
 
     def test_what_judges_a_scan_reaches_the_search(self, monkeypatch, capsys, tmp_path):
         words = ("--stress", "vv=3", "--stress", "uw", "--prior", "ratio", "--wind-speed", 8, "--duration", 300)
@@ -551,7 +554,7 @@ class TestCommand:
         assert {name: best["asked_for"][name] for name in options} == options
         scan = brs.load_scan(tmp_path / "out" / "scan.toml")
         assert scan.probe == brs.load_scan("pulsed-4-beam").probe
-        assert brs.scan_criterion(scan, **options) == pytest.approx(best["value"], rel=1e-9)
+        assert brs.design.scan_criterion(scan, **options) == pytest.approx(best["value"], rel=1e-9)
 
     def test_summary_and_picture_of_a_width(self, tmp_path):
         best, said = run_optimize(

@@ -2,11 +2,11 @@
 
 import pytest
 
-from bayes_rs import InputError, load_scan, load_turbulence, plan
+from bayes_rs import InputError, plan
 
 
 def decisions(name, **options):
-    made = plan(load_scan(name), load_turbulence("fu-2022"), wind_speed=10.0, **options)
+    made = plan(name, wind_speed=10.0, **options)
     return {step.what: step for step in made.steps}, made
 
 

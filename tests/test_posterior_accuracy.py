@@ -9,11 +9,12 @@ import pytest
 from scenes import draw_variances, plain_noise
 from scipy import stats
 
-from bayes_rs import WeakPrior, load_scan
+from bayes_rs import load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling import sample
+from bayes_rs.posteriors.sampling.__init__ import sample
+from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.priors.registry import FlatPrior
 
 NEUTRAL = np.array([1.0, 0.5, 0.27, 0.0, -0.15, 0.0])

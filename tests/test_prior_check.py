@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, InputError, WeakPrior, load_scan, prior_sensitivity
+from bayes_rs import STRESSES, InputError, load_scan, prior_sensitivity
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.noise import Noise
+from bayes_rs.priors.ratio import WeakPrior
 
 
 def scene(name, *, relative_variance=0.06, n_record=8, **overrides):

@@ -2,20 +2,26 @@
 
 import itertools
 import logging
+import re
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from bayes_rs import InputError
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.geometry import load_scan
-from bayes_rs.quality import QualityRules
 from bayes_rs.readers import FileOptions, read
 from bayes_rs.records import make_records, record_store, store_records
+from bayes_rs.result_folder import open_result_folder
 
 SCAN = load_scan("2-beam")
 MAKING = {"duration": 60.0, "min_availability": 0.1}
 SKIP = FileOptions(on_bad_file="skip")
+
+
+def kept(tmp_path, key="k"):
+    return begin_result_folder(tmp_path / "kept", key=key, key_parts={"key": key}, resume=True)
 
 
 @pytest.fixture
@@ -40,8 +46,8 @@ def store(tmp_path):
 
     def make(files, **options):
         said = []
-        found = store_records(files, SCAN, tmp_path / "kept", say=said.append, **{**MAKING, **options})
-        return found, said
+        with kept(tmp_path) as folder:
+            return store_records(files, SCAN, folder, say=said.append, **{**MAKING, **options}), said
 
     return make
 
@@ -87,33 +93,34 @@ class TestDamage:
     @pytest.mark.parametrize("index", [0, 1])
     def test_of_a_part(self, files, store, tmp_path, damage, index):
         first, _ = store(files)
-        damage(tmp_path / "kept" / f"part-{index:06d}.nc")
+        damage(tmp_path / "kept" / "records" / f"part-{index:06d}.nc")
         again, said = store(files)
         xr.testing.assert_identical(again.records, first.records)
         assert again.n_resumed == 0
         (line,) = said
-        assert "are read again: a part of it is gone, or is not as it was written." in line
+        assert line.startswith("What an earlier run made of the files is not used, and all are read again: File ")
+        assert f"part-{index:06d}.nc" in line
 
     @pytest.mark.parametrize("damage", [flip, cut, lambda file: file.write_bytes(b"")], ids=["a bit", "cut", "empty"])
     def test_of_the_state(self, files, store, tmp_path, damage):
         first, _ = store(files)
-        damage(tmp_path / "kept" / "state.npz")
+        damage(tmp_path / "kept" / "records" / "state.npz")
         again, said = store(files)
         xr.testing.assert_identical(again.records, first.records)
         assert len(said) == 1
-        assert "its state is not as it was written" in said[0]
+        assert re.search(r"state\.npz' (was changed since it was written|has \d+ bytes, and \d+ were written)", said[0])
 
     def test_any_byte_of_the_state(self, files, store, tmp_path):
         store(files)
-        state = tmp_path / "kept" / "state.npz"
+        state = tmp_path / "kept" / "records" / "state.npz"
         content = state.read_bytes()
         for place in np.linspace(0, len(content) - 1, 60).astype(int):
             changed = bytearray(content)
             changed[place] ^= 4
             state.write_bytes(bytes(changed))
             said = []
-            assert record_store._load(tmp_path / "kept", "", said.append).files == {}
-            assert "its state is not as it was written" in said[0]
+            assert record_store._load(open_result_folder(tmp_path / "kept"), said.append).files == {}
+            assert "state.npz' was changed since it was written" in said[0]
 
     def test_while_the_files_are_read(self, files, store, monkeypatch):
         """A part that is damaged after it was written is found at the end, and all is read again."""
@@ -123,20 +130,20 @@ class TestDamage:
         def damaging(folder, *arguments):
             done = save(folder, *arguments)
             if next(calls) == 2:
-                flip(folder / "part-000000.nc")
+                flip(folder.path / "records" / "part-000000.nc")
             return done
 
         monkeypatch.setattr(record_store, "_save", damaging)
         found, said = store(files)
         np.testing.assert_array_equal(found.records["variance"], expected["variance"])
-        assert "was damaged while the files were read: all are read again" in said[0]
+        assert "was damaged meanwhile: all files are read again" in said[0]
 
     def test_a_disk_that_loses_everything(self, files, store, monkeypatch):
         save = record_store._save
 
         def damaging(folder, *arguments):
             done = save(folder, *arguments)
-            for part in folder.glob("part-*.nc"):
+            for part in folder.path.glob("records/part-*.nc"):
                 flip(part)
             return done
 
@@ -146,27 +153,17 @@ class TestDamage:
 
     def test_it_is_logged_by_default(self, files, store, tmp_path, caplog):
         store(files)
-        flip(tmp_path / "kept" / "part-000000.nc")
-        with caplog.at_level(logging.WARNING):
-            store_records(files, SCAN, tmp_path / "kept", **MAKING)
-        assert "all files are read again" in caplog.text
+        flip(tmp_path / "kept" / "records" / "part-000000.nc")
+        with caplog.at_level(logging.WARNING), kept(tmp_path) as folder:
+            store_records(files, SCAN, folder, **MAKING)
+        assert "and all are read again" in caplog.text
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"duration": 30.0},
-        {"quality": QualityRules(velocity_range=(-20.0, -5.0))},
-        {"reading": FileOptions(positive="towards")},
-        {"lateness": 5.0},
-    ],
-    ids=["duration", "quality", "reading", "lateness"],
-)
-def test_what_was_made_with_other_options_is_not_used(files, store, options):
+def test_what_was_made_with_other_options_is_refused_by_the_folder(files, store, tmp_path):
+    """The folder's key holds the options: see `TestInterruptions.test_other_options_are_refused` of test_fit_files."""
     store(files)
-    found, said = store(files, **options)
-    assert found.n_resumed == 0
-    assert "it is of another scan or of other options" in said[0]
+    with pytest.raises(InputError, match="is of a run that differs in key"), kept(tmp_path, key="other"):
+        pytest.fail("nothing is to be done")
 
 
 def test_what_no_number_depends_on_may_differ(files, store):

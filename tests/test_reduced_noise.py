@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise
 
-from bayes_rs import InputError, MannTurbulence, WeakPrior, load_scan
+from bayes_rs import InputError, MannTurbulence, load_scan
 from bayes_rs.fits.batch import Batch, FitOptions, fit_batch, make_posterior
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import reduced_log_normal_likelihood
@@ -14,6 +14,7 @@ from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.net import refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.priors.ratio import WeakPrior
 
 OPTIONS = FitOptions(
     prior=WeakPrior(),

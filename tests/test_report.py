@@ -1,6 +1,7 @@
 """The report: its numbers are those of the fit, and no text of a file becomes part of the page."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -10,21 +11,21 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
-from bayes_rs.report.folder import NUMBERS, read_folder
-from campaign_scene import make_records
 from click.testing import CliRunner
+from fit_scene import NOISE, OPTIONS, SCAN, make_records
 from report_scene import EVIL, demo_records, evil_folder, result_folder, table_folder
 
-from bayes_rs import STRESSES, InputError, open_result, read_summary, write_report
+from bayes_rs import STRESSES, InputError, fit, open_fit, write_report
 from bayes_rs.cli.report_command import report
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.flags import FLAGS
+from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.packing import MISSING, pack, pack_rows, pack_steps, plain
+from bayes_rs.report.report_data import NUMBERS, report_data
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
-from bayes_rs.report.words import FLAG_MEANINGS
+from bayes_rs.result_folder import seal_folder
 
 pytestmark = pytest.mark.slow
 HALF_STEP = 0.5 / 32767 * (1.0 + 1e-6)  # of the largest number in a row; and the rounding of its unit to float32
@@ -59,14 +60,23 @@ def year(tables, tmp_path_factory):
     from_record = np.arange(n_record) % few
     rows = pd.concat([pd.read_parquet(file) for file in sorted((tables / "posterior").glob("**/*.parquet"))])
     rows = rows.sort_values("record").iloc[from_record].assign(record=np.arange(n_record), time=start)
-    summaries = read_summary(tables)
+    summaries = open_fit(tables).summary()
     places = (6 * from_record[:, None] + np.arange(6)).ravel()
     long = summaries.iloc[places].assign(record=np.repeat(np.arange(n_record), 6), time=np.repeat(start, 6))
     for name, content in (("posterior", rows), ("summary", long)):
         (folder / name).mkdir(parents=True)
         content.to_parquet(folder / name / "part-000000.parquet", index=False)
-    (folder / "run.json").write_text((tables / "run.json").read_text())
+    run = json.loads((tables / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps({**run, "n_record": n_record, "part_records": n_record}))
+    shutil.copy(tables / "prior.parquet", folder)
+    records = open_fit(tables).records.isel(record=from_record).assign_coords(time=("record", start))
+    records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+    seal_folder(folder)
     return folder
+
+
+def report_of(folder, **options):
+    return report_data(open_fit(folder), **options)
 
 
 def data_of(text):
@@ -114,7 +124,7 @@ class Elements(HTMLParser):
 
 class TestNumbers:
     def test_a_full_result_gives_the_numbers_of_its_summary(self, full):
-        found = read_folder(full)
+        found = report_of(full)
         expected = open_fit(full).summary(prob=0.9, derived=("ti",))
         for name in NUMBERS:
             rows = expected[expected["stress"].isin(STRESSES)][name].to_numpy().reshape(-1, 6)
@@ -128,33 +138,33 @@ class TestNumbers:
         """Independent of `summary`: what the user sees in the folder. The file holds all digits."""
         written = pd.read_csv(full / "summary.csv")
         np.testing.assert_allclose(
-            read_folder(full).numbers["median"].ravel(), written[written["stress"].isin(STRESSES)]["median"], rtol=1e-12
+            report_of(full).numbers["median"].ravel(), written[written["stress"].isin(STRESSES)]["median"], rtol=1e-12
         )
 
     def test_another_probability_is_computed_from_the_draws(self, full):
-        half = read_folder(full, prob=0.5)
+        half = report_of(full, prob=0.5)
         expected = open_fit(full).summary(prob=0.5)
         np.testing.assert_array_equal(half.numbers["hdi_low"].ravel(), expected["hdi_low"])
         assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
 
     def test_tables_give_the_numbers_of_their_summary(self, tables):
-        found, expected = read_folder(tables), read_summary(tables)
+        found, expected = report_of(tables), open_fit(tables).summary()
         for name in NUMBERS:
             np.testing.assert_array_equal(found.numbers[name].ravel(), expected[name])
         assert int(found.fitted.sum()) == 16
 
     def test_covariances_are_those_of_the_draws(self, full, with_draws):
-        flat_draws = group(open_result(full), "posterior")["stress"].isel(record=1).values.reshape(-1, 6)
+        flat_draws = open_fit(full).draws(1).reshape(-1, 6)
         np.testing.assert_allclose(
-            read_folder(full).covariance[1], np.cov(flat_draws, rowvar=False), rtol=1e-12, atol=1e-15
+            report_of(full).covariance[1], np.cov(flat_draws, rowvar=False), rtol=1e-12, atol=1e-15
         )
-        found = read_folder(with_draws)
+        found = report_of(with_draws)
         every = found.draws(10**6)[3]
         every = every[np.isfinite(every).all(axis=1)]
         np.testing.assert_allclose(found.covariance[3], np.cov(every, rowvar=False), rtol=1e-9, atol=1e-12)
 
     def test_the_page_holds_the_numbers_of_each_record(self, full, full_page):
-        found, data = read_folder(full), data_of(full_page)
+        found, data = report_of(full), data_of(full_page)
         numbers = unpack(data["records"]["numbers"], (6, 5, 6))
         columns = ("median", "hdi_low", "hdi_high", "mean", "sd")
         largest = np.max([np.abs(found.numbers[name]).max(axis=1) for name in columns], axis=0)
@@ -168,42 +178,35 @@ class TestNumbers:
         data = data_of(full_page)
         n = data["records"]["draws"]["n"]
         some = unpack(data["records"]["draws"], (6, n, 6))[1]
-        every = group(open_result(full), "posterior")["stress"].isel(record=1)
-        every = every.transpose("chain", "draw", "component").values.reshape(-1, 6)
+        every = open_fit(full).draws(1).reshape(-1, 6)
         distance = np.abs(some[:, None] - every[None]).max(axis=-1).min(axis=1)
         assert n == min(figures.MOST_DRAWS, len(every))
         assert np.all(distance <= HALF_STEP * np.abs(some).max() * (1.0 + 1e-3))
 
     def test_draws_of_tables_are_those_of_their_records(self, with_draws):
-        found = read_folder(with_draws)
+        found = report_of(with_draws)
         draws = found.draws(400)
         assert np.isnan(draws[~found.fitted]).all()
         # means of 400 of 2048 draws: five standard errors of independent draws
         error = np.abs(draws.mean(axis=1) - found.numbers["mean"])[found.fitted]
         assert np.all(error <= 5.0 * found.numbers["sd"][found.fitted] / np.sqrt(400))
 
-    def test_draws_of_a_zarr_store_are_those_of_the_tables(self, with_draws, tmp_path):
-        found = read_folder(table_folder(tmp_path / "out", draws="zarr"))
-        np.testing.assert_allclose(found.draws(100), read_folder(with_draws).draws(100), rtol=1e-6)  # float32
-
-    def test_turbulence_intensity_of_tables_follows_from_uu(self, tables, tmp_path):
-        assert figures.intensity_data(read_folder(tables)) is None  # no records.nc, so no wind speed
-        shutil.copytree(tables, tmp_path / "out")
+    def test_turbulence_intensity_of_tables_follows_from_uu(self, tmp_path):
         records = make_records()
-        records["wind_speed"].values[3] = 0.0
-        records.to_netcdf(tmp_path / "out" / "records.nc", engine="h5netcdf")
-        found = read_folder(tmp_path / "out")
+        records["wind_speed"].values[3] = np.nan  # beside record 2: not fitted, and none to divide by
+        fit(records, SCAN, output=tmp_path / "out", draws="none", **OPTIONS)
+        found = report_of(tmp_path / "out")
         np.testing.assert_allclose(
             found.derived["ti"]["high"][0], np.sqrt(found.numbers["hdi_high"][0, 0]) / 10.0, rtol=1e-12
         )
-        assert np.isnan(found.derived["ti"]["median"][[2, 3]]).all()  # no wind speed, and none to divide by
+        assert np.isnan(found.derived["ti"]["median"][[2, 3]]).all()
         data = figures.intensity_data(found)
         assert data["bin"] == [10]
         assert data["count"] == [15]
         assert data["points"]["median"][0] == pytest.approx(found.derived["ti"]["median"][0], rel=1e-3)
 
     def test_the_shape_coordinates_are_those_of_the_means(self, full, full_page):
-        found, data = read_folder(full), data_of(full_page)
+        found, data = report_of(full), data_of(full_page)
         xi, eta = lumley_coordinates(found.numbers["mean"][found.fitted])
         np.testing.assert_allclose(data["shape"]["xi"], xi, rtol=1e-3)
         np.testing.assert_allclose(data["shape"]["eta"], eta, rtol=1e-3)
@@ -212,7 +215,7 @@ class TestNumbers:
 
 class TestSeries:
     def test_few_records_keep_their_own_numbers(self, full):
-        found = read_folder(full)
+        found = report_of(full)
         series = make_series(found)
         assert not series.binned
         assert series.timed
@@ -222,7 +225,7 @@ class TestSeries:
         assert series.n_remarked.tolist() == [0, 0, 0, 0, 1, 0]
 
     def test_a_year_is_shown_in_bins_of_six_hours(self, year):
-        found = read_folder(year)
+        found = report_of(year)
         series = make_series(found)
         assert series.binned
         assert series.width == 6 * 3.6e6
@@ -230,7 +233,7 @@ class TestSeries:
         assert len(series.start) <= MOST_BINS
 
     def test_bins_hold_medians_of_their_records(self, year):
-        found = read_folder(year)
+        found = report_of(year)
         series = make_series(found)
         rows = np.arange(36 * 100, 36 * 101)
         rows = rows[found.fitted[rows]]
@@ -243,7 +246,7 @@ class TestSeries:
         assert series.n_failed[100] == 36 - len(rows)
 
     def test_records_without_times_are_numbered(self, tmp_path):
-        found = read_folder(result_folder(tmp_path / "out", timed=False))
+        found = report_of(result_folder(tmp_path / "out", timed=False))
         series = make_series(found)
         assert not series.timed
         assert series.start.tolist() == [0, 1, 2, 3, 4, 5]
@@ -295,8 +298,8 @@ class TestSections:
 
     def test_sections_without_data_are_left_out(self, tables):
         text = page_of(tables)
-        assert ">What was read</h2>" not in text  # fit_campaign keeps no records
-        assert ">Turbulence intensity</h2>" not in text
+        assert ">What was read</h2>" in text
+        assert ">Turbulence intensity</h2>" in text
         assert ">One record</h2>" in text
         assert "draws" not in data_of(text)["records"]
 
@@ -315,7 +318,7 @@ class TestSections:
         row = re.search(r'<tr><th scope="row">beam_left_out</th>(.*?)</tr>', full_page)
         assert row is not None
         cells = re.findall(r"<td[^>]*>(.*?)</td>", row.group(1))
-        start = np.datetime_as_string(read_folder(full).time[4], unit="m").replace("T", " ")
+        start = np.datetime_as_string(report_of(full).time[4], unit="m").replace("T", " ")
         assert cells[1:] == ["remark", start, "1", "16.7 %"]
 
     def test_failed_records_without_a_beam_are_told_apart(self, full_page, tmp_path):
@@ -334,7 +337,7 @@ class TestSections:
             assert escape(value.split(":")[0]) in text
 
     def test_tables_hold_the_medians_and_intervals(self, full, full_page):
-        found = read_folder(full)
+        found = report_of(full)
         expected = interval(*(float(found.numbers[name][0, 0]) for name in ("median", "hdi_low", "hdi_high")))
         assert f'<td class="n">{expected}</td>' in full_page
 
@@ -346,12 +349,15 @@ class TestSections:
         assert ">One record</h2>" not in none
         assert ">Diagnostics</h2>" in none
 
-    def test_an_interrupted_run_shows_what_is_finished(self, tables, tmp_path):
-        folder = tmp_path / "out"
-        shutil.copytree(tables, folder)
-        run = json.loads((folder / "run.json").read_text())
-        (folder / "run.json").write_text(json.dumps({"key": run["key"], "finished": False}))
-        assert "Not finished" in page_of(folder)
+    def test_records_outside_the_noise_are_counted(self, tmp_path):
+        """Noise of 16 m/s for records of 4 m/s: the page says so of every record."""
+        records = make_records(3).assign(wind_speed=("record", np.full(3, 4.0)))
+        noise = dataclasses.replace(NOISE, wind_speed=16.0)
+        fit(records, SCAN, output=tmp_path / "out", **{**OPTIONS, "noise": noise})
+        text = page_of(tmp_path / "out")
+        row = re.search(r'<tr><th scope="row">outside_noise</th>(.*?)</tr>', text)
+        cells = re.findall(r"<td[^>]*>(.*?)</td>", row.group(1))
+        assert cells == [escape(FLAG_MEANINGS["outside_noise"]), "remark", "2020-01-01 00:00", "3", "100.0 %"]
 
 
 class TestPage:
@@ -406,7 +412,7 @@ class TestPage:
         assert len(page_of(year)) < 7e6
 
     def test_draws_of_any_number_of_records_stay_within_their_share(self, full):
-        found = read_folder(full)
+        found = report_of(full)
         for n_record in (1, 24, 144, 1500):
             n = min(figures.MOST_DRAWS, figures.DRAW_BYTES // (16 * n_record))
             assert n >= figures.LEAST_DRAWS
@@ -432,22 +438,35 @@ class TestWriting:
         assert isinstance(again.exception, InputError)
         assert CliRunner().invoke(report, [str(tables), "-o", str(file), "--overwrite"]).exit_code == 0
 
+    def test_a_fit_in_memory_needs_a_place(self, tmp_path):
+        found = fit(make_records(2), SCAN, **OPTIONS)
+        with pytest.raises(InputError, match="A fit in memory has no folder for its report: name a file to write"):
+            write_report(found)
+        assert "Stresses over time" in write_report(found, tmp_path / "a.html").read_text(encoding="utf-8")
+
+    def test_the_page_of_a_fit_in_memory_is_that_of_its_folder(self, tmp_path):
+        pages = []
+        for output in (None, tmp_path / "out"):
+            found = fit(make_records(3), SCAN, output=output, **OPTIONS)
+            pages.append(write_report(found, tmp_path / "a.html", overwrite=True).read_text(encoding="utf-8"))
+        one, other = (text[: text.index('<section id="provenance"')] for text in pages)
+        assert one == other
+
     @pytest.mark.parametrize(
         ("make", "message"),
         [
-            (lambda folder: folder, r"No folder '.*': give the output folder of bayes-rs fit"),
-            (lambda folder: folder.mkdir(), r"No fit in '.*': it has no run.json"),
+            (lambda folder: folder, r"No folder '.*': give the output folder of a bayes-rs run"),
+            (
+                lambda folder: folder.mkdir(),
+                r"No results in '.*': it has no fingerprints.jsonl; give the output folder",
+            ),
+            (
+                lambda folder: (folder.mkdir(), (folder / "run.json").write_text("{}"), seal_folder(folder)),
+                r"No fit in '.*': its run.json is of another command",
+            ),
             (
                 lambda folder: (folder.mkdir(), (folder / "run.json").write_text("{}")),
-                r"No fit in '.*': it has neither posterior.nc nor the tables summary and posterior",
-            ),
-            (
-                lambda folder: (folder.mkdir(), (folder / "run.json").write_text("{")),
-                r"File '.*run.json' cannot be read: .*; run the fit again",
-            ),
-            (
-                lambda folder: (folder.mkdir(), (folder / "run.json").write_text("[]")),
-                r"File '.*run.json' is not of a fit: it must hold an object",
+                r"No results in '.*': it has no fingerprints.jsonl; give the output folder",
             ),
         ],
     )
@@ -458,24 +477,24 @@ class TestWriting:
         assert not (tmp_path / "out" / "report.html").exists()
 
     def test_tables_refuse_another_probability(self, tables):
-        with pytest.raises(InputError, match=r"Invalid prob 0.5: the tables in '.*' hold intervals of 0.9"):
-            read_folder(tables, prob=0.5)
         with pytest.raises(
-            InputError, match=r"Invalid prob 2.0: it must be between 0 and 1|Invalid prob 2.0: the tables"
+            InputError, match=r"Invalid prob 0.5: the fit kept no draws, and .* intervals of 0.9; leave"
         ):
-            read_folder(tables, prob=2.0)
+            report_of(tables, prob=0.5)
+        with pytest.raises(InputError, match=r"Invalid prob 2.0: it must be between 0 and 1|Invalid prob 2.0: the fit"):
+            report_of(tables, prob=2.0)
 
-    def test_records_of_another_run_are_refused(self, tables, tmp_path):
+    @pytest.mark.parametrize("name", ["posterior", "summary", "records.nc", "prior.parquet", "run.json"])
+    def test_what_was_changed_is_refused(self, tables, tmp_path, name):
         shutil.copytree(tables, tmp_path / "out")
-        demo_records()[0].to_netcdf(tmp_path / "out" / "records.nc", engine="h5netcdf")
-        with pytest.raises(InputError, match=r"records.nc' holds 6 records and the fit 23: it is of another run"):
-            read_folder(tmp_path / "out")
-
-    def test_broken_tables_are_refused(self, tables, tmp_path):
-        shutil.copytree(tables, tmp_path / "out")
-        next((tmp_path / "out" / "posterior").glob("**/*.parquet")).write_bytes(b"PAR1")
-        with pytest.raises(InputError, match=r"The tables in '.*' cannot be read: .*; resume or repeat the fit"):
-            read_folder(tmp_path / "out")
+        place = tmp_path / "out" / name
+        file = place if place.is_file() else next(place.glob("**/*.parquet"))
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content)
+        words = rf"File '.*{file.name}' was changed since it was written: resume the fit to make it again"
+        with pytest.raises(InputError, match=words):
+            write_report(tmp_path / "out")
 
 
 class TestPieces:

@@ -6,11 +6,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from report_scene import EVIL, evil_folder, result_folder, table_folder
 
 from bayes_rs import write_report
+from bayes_rs.result_folder import seal_folder
 
 pytestmark = pytest.mark.slow
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -60,12 +62,15 @@ def files(tmp_path_factory):
 
 def with_gaps(folder):
     """Leave numbers out: wind speeds, and diagnostics of a record."""
-    tree = xr.open_datatree(folder / "posterior.nc", engine="h5netcdf").load()
-    tree["observed_data/wind_speed"].values[[0, 3]] = np.nan
-    tree["sample_stats/misfit"].values[1] = np.nan
-    tree.close()
-    (folder / "posterior.nc").unlink()
-    tree.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
+    records = xr.load_dataset(folder / "records.nc", engine="h5netcdf")
+    records["wind_speed"].values[[0, 3]] = np.nan
+    (folder / "records.nc").unlink()
+    records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+    (part,) = folder.glob("posterior/**/*.parquet")
+    rows = pd.read_parquet(part)
+    rows.loc[1, "misfit"] = np.nan
+    rows.to_parquet(part, index=False)
+    seal_folder(folder)
     return folder
 
 

@@ -1,4 +1,4 @@
-"""The report of a fit of a folder shows what that of the same data in one go does; older folders stay readable."""
+"""The report of a fit of files shows what that of the same records does."""
 
 import json
 import re
@@ -8,28 +8,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from bayes_rs.report.folder import read_folder
-from folder_scene import DURATION, FITTING, FLOW, RECORDING
+from folder_scene import DURATION, FITTING, FLOW, RECORDING, run
 
-from bayes_rs import (
-    InputError,
-    WeakPrior,
-    fit,
-    fit_campaign,
-    load_scan,
-    make_records,
-    open_result,
-    read,
-    run_fit,
-    run_folder_fit,
-    save_scan,
-    simulate,
-    write_report,
-)
-from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store
-from bayes_rs.fits.parts import ALONG, ALONG_SHAPE
+from bayes_rs import InputError, fit, load_scan, make_records, open_fit, read, save_scan, simulate, write_report
+from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.file_options import FileOptions
+from bayes_rs.fits import from_files, plan
 from bayes_rs.noise.calibrating import calibrate
+from bayes_rs.priors.ratio import WeakPrior
+from bayes_rs.records import record_store
+from bayes_rs.report.report_data import report_data
+from bayes_rs.result_folder import seal_folder
 
 pytestmark = pytest.mark.slow
 N_RECORD = 10
@@ -56,14 +45,13 @@ def place(tmp_path_factory):
     (folder / "year" / "out.partial-abc").mkdir()
     (folder / "year" / "out.partial-abc" / "records.csv").write_text("half")
     calibrate(scan, FLOW, wind_speed=10.0, duration=DURATION, cache=False).save(folder / "noise.nc")
-    options = {"noise_file": folder / "noise.nc", "prior": PRIOR, "derived": DERIVED, "sampler": "auto", **FITTING}
+    options = {"prior": PRIOR, "derived": DERIVED, **FITTING}
     reading = {"invalid": [9999.0]}
     records = make_records(read(folder / "year", scan, on_bad_file="skip", **reading), scan, **RECORDING)
-    run_fit(records, scan, folder / "at-once", **options)
+    fit(records, scan, output=folder / "at-once", noise=folder / "noise.nc", **options)
     for draws in ("none", "float64"):
-        run_folder_fit(
-            folder / "year", scan, folder / draws, reading=reading, recording=RECORDING, draws=draws, **options
-        )
+        more = {"scan": str(folder / "mine.toml"), "draws": draws, **reading, **options}
+        run(folder / "year", folder / draws, folder / "noise.nc", **more)
     return folder
 
 
@@ -102,19 +90,17 @@ class TestSameSections:
 
     def test_the_run_file_has_what_a_reader_of_the_folder_needs(self, place, tmp_path):
         runs = [json.loads((place / name / "run.json").read_text()) for name in ("at-once", "none")]
-        for run in runs:
-            assert run["prior_option"] == PRIOR
-            (tmp_path / "again.toml").write_text(run["scan_toml"], encoding="utf-8")
-            assert load_scan(tmp_path / "again.toml").key == run["scan_key"]
+        for one in runs:
+            assert one["settings"]["fit"]["prior"] == PRIOR
+            (tmp_path / "again.toml").write_text(one["scan_toml"], encoding="utf-8")
+            assert load_scan(tmp_path / "again.toml").key == one["scan_key"]
         assert runs[0]["words"] == runs[1]["words"]
-        assert runs[0]["words"][-1].startswith("contraction along what the scan sees least, ")
+        assert runs[0]["words"][-1].startswith("the beams hardly see ")
 
     def test_directions_are_those_of_the_result(self, place):
-        scan = load_scan(place / "mine.toml")
-        expected = open_result(place / "at-once").directions()
-        found = read_folder(place / "none").directions
-        # another order of summation in the singular values, nothing else
-        pd.testing.assert_frame_equal(found, expected, check_exact=False, rtol=1e-12, atol=1e-12)
+        expected = open_fit(place / "at-once").directions()
+        found = report_data(open_fit(place / "none")).directions
+        pd.testing.assert_frame_equal(found, expected, check_exact=True)
         assert expected["contraction"].notna().any()
 
 
@@ -132,9 +118,9 @@ class TestSameBytes:
         whole = json.loads(read(tmp_path / "year", scan, **reading).attrs["read_report"])
         assert whole["samples_out_of_order"] > 100
         for rows in (40, 333, 100_000):
-            stored = record_store.store_records(
-                tmp_path / "year", scan, tmp_path / f"{rows}", reading=reading, chunk_rows=rows, **RECORDING
-            )
+            options = {"reading": FileOptions(**reading), "chunk_rows": rows, **RECORDING}
+            with begin_result_folder(tmp_path / f"{rows}", key="k", key_parts={}) as folder:
+                stored = record_store.store_records(tmp_path / "year", scan, folder, **options)
             assert json.loads(stored.records.attrs["read_report"]) == whole
 
     def test_files_of_one_name_in_two_folders_are_two(self, place, tmp_path):
@@ -142,60 +128,45 @@ class TestSameBytes:
         for day, name in (("a", "0.csv"), ("b", "1.csv")):
             (tmp_path / "year" / day).mkdir(parents=True)
             shutil.copy(place / "year" / name, tmp_path / "year" / day / "lidar.csv")
-        stored = record_store.store_records(tmp_path / "year", scan, tmp_path / "store", **RECORDING)
+        with begin_result_folder(tmp_path / "store", key="k", key_parts={}) as folder:
+            stored = record_store.store_records(tmp_path / "year", scan, folder, **RECORDING)
         whole = read(tmp_path / "year", scan)
         assert json.loads(stored.records.attrs["read_report"]) == json.loads(whole.attrs["read_report"])
         assert len(json.loads(whole.attrs["read_report"])["files"]) == 2
 
 
-class TestCampaigns:
-    def test_a_prior_of_ones_own_has_its_outline_too(self, place, tmp_path):
+class TestPriorOfOnesOwn:
+    def test_it_has_its_outline_too(self, place, tmp_path):
         scan = load_scan(place / "mine.toml")
         records = xr.load_dataset(place / "none" / "records.nc", engine="h5netcdf").isel(record=slice(0, 3))
         noise = calibrate(scan, FLOW, wind_speed=10.0, duration=DURATION, cache=False)
         own = WeakPrior(log_sd_uu=0.3)
-        folder = fit_campaign(records, scan, tmp_path / "out", noise=noise, prior=own, **FITTING).folder
+        folder = tmp_path / "out"
+        fit(records, scan, output=folder, noise=noise, prior=own, draws="none", **FITTING)
         expected = fit(records, scan, noise=noise, prior=own, **FITTING)["prior/stress"].values.reshape(-1, 6)[:2000]
         expected = expected / expected[:, :3].sum(axis=1, keepdims=True)
-        np.testing.assert_array_equal(read_folder(folder).prior_shape, expected)
-        assert json.loads((folder / "run.json").read_text())["prior_option"] is None
+        np.testing.assert_array_equal(report_data(open_fit(folder)).prior_shape, expected)
+        assert json.loads((folder / "run.json").read_text())["settings"]["fit"]["prior"] is None
 
 
-class TestOlderFolders:
-    @pytest.fixture
-    def older(self, place, tmp_path):
-        """A folder as it was before it kept all this."""
-        folder = tmp_path / "out"
-        shutil.copytree(place / "none", folder)
-        (folder / "prior.parquet").unlink()
-        run = json.loads((folder / "run.json").read_text())
-        for name in ("scan_toml", "sight", "directions", "prior_option", "words"):
-            del run[name]
-        (folder / "run.json").write_text(json.dumps(run))
-        for file in folder.glob("posterior/**/*.parquet"):
-            pd.read_parquet(file).drop(columns=[*ALONG, *ALONG_SHAPE]).to_parquet(file, index=False)
-        return folder
-
-    def test_they_are_read(self, older, place):
-        found, data = sections(older)
-        assert list(found) == list(sections(place / "none")[0])
-        assert "Contraction along the directions" not in found["contraction"]
-        assert "prior" not in data["records"]
-
-    def test_they_are_not_gone_on_with(self, place, tmp_path, monkeypatch):
-        scan = load_scan(place / "mine.toml")
-        options = {"reading": {"invalid": [9999.0]}, "recording": RECORDING, "noise_file": place / "noise.nc"}
-        monkeypatch.setattr(campaign_plan, "LAYOUT", 1)
-        run_folder_fit(place / "year", scan, tmp_path / "out", **options, **FITTING)
+class TestOtherFolders:
+    def test_another_layout_is_not_gone_on_with(self, place, tmp_path, monkeypatch):
+        options = {"scan": str(place / "mine.toml"), "invalid": [9999.0]}
+        monkeypatch.setattr(plan, "LAYOUT", 1)
+        monkeypatch.setattr(from_files, "LAYOUT", 1)
+        run(place / "year", tmp_path / "out", place / "noise.nc", **options)
         monkeypatch.undo()
         words = "is of a run that differs in layout of the tables, so it cannot be resumed: give the same"
         with pytest.raises(InputError, match=words):
-            run_folder_fit(place / "year", scan, tmp_path / "out", resume=True, **options, **FITTING)
+            run(place / "year", tmp_path / "out", place / "noise.nc", resume=True, **options)
 
     def test_a_scan_that_was_spoilt_is_refused(self, place, tmp_path):
         folder = tmp_path / "out"
         shutil.copytree(place / "at-once", folder)
-        run = json.loads((folder / "run.json").read_text())
-        (folder / "run.json").write_text(json.dumps({**run, "scan_toml": "title = 1"}))
-        with pytest.raises(InputError, match=r"The scan_toml in run.json cannot be read: "):
+        about = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps({**about, "scan_toml": "title = 1"}))
+        with pytest.raises(InputError, match=r"run.json' .*: resume the fit to make it again"):
+            write_report(folder)
+        seal_folder(folder)
+        with pytest.raises(InputError, match=r"Invalid|cannot be read|unknown|missing"):
             write_report(folder)

@@ -1,15 +1,21 @@
 """The summary: columns, numbers against ArviZ and a slow computation of each record, derived quantities."""
 
+from dataclasses import dataclass
+
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import STRESSES, FlatPrior, InputError, WeakPrior, fit, load_scan, summary
+from bayes_rs import STRESSES, Fit, InputError, fit, load_scan
+from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import pack_stress, rotate_stress
+from bayes_rs.priors.flat import FlatPrior
+from bayes_rs.priors.ratio import WeakPrior
 
 DERIVED = ("ti", "tke", "friction_velocity", "anisotropy_2", "anisotropy_3")
 
@@ -27,32 +33,45 @@ def result():
     return fit(records, scan, noise=noise, seed=1, target_ess=200)
 
 
-def tree_of(stress, *, wind_speed=10.0):
-    """A result by hand: stress (record, 6), jittered by a millionth because constant chains have no diagnostics."""
+@dataclass(frozen=True)
+class ByHand:
+    """Records, and draws of the weak prior."""
+
+    wind_speed: np.ndarray
+
+    def records(self):
+        return xr.Dataset({"wind_speed": ("record", self.wind_speed)})
+
+    def prior_draws(self):
+        return WeakPrior().draw(50, 1)
+
+
+def fit_of(stress, *, wind_speed=10.0):
+    """A fit by hand: stress (record, 6), jittered by a millionth because constant chains have no diagnostics."""
     stress = np.asarray(stress, dtype=float)
-    n_record = len(stress)
+    n_record, (n_chain, n_draw) = len(stress), (4, 16)
     rng = np.random.default_rng(22)
-    size = 1.0 + 1e-6 * rng.standard_normal((4, 16, n_record, 1))  # of the whole tensor: its shape stays exact
-    groups = {
-        "posterior": {"stress": (("chain", "draw", "record", "component"), size * stress)},
-        "prior": {"stress": (("chain", "draw", "component"), WeakPrior().draw(50, 1)[None])},
-        "observed_data": {
-            "variance": (("record", "beam"), np.ones((n_record, 1))),
-            "wind_speed": ("record", np.full(n_record, wind_speed)),
-        },
-        "sample_stats": {"flag": ("record", np.zeros(n_record, dtype=int))},
+    size = 1.0 + 1e-6 * rng.standard_normal((n_record, n_chain * n_draw, 1))  # of the whole tensor: its shape is exact
+    number = np.arange(n_record)
+    draws = pd.DataFrame((size * stress[:, None]).reshape(-1, 6), columns=list(STRESSES))
+    tables = {
+        "draws": draws.assign(record=np.repeat(number, n_chain * n_draw)),
+        "posterior": pd.DataFrame({"record": number, "time": np.datetime64("NaT", "ns"), "flag_bits": 0}),
+        "summary": pd.DataFrame(
+            {"record": np.repeat(number, 6), "stress": [*STRESSES] * n_record, "ess_bulk": 1.0, "ess_tail": 1.0}
+        ).assign(r_hat=1.0),
     }
-    coords = {"record": np.arange(n_record)}
-    return xr.DataTree.from_dict(
-        {
-            f"/{name}": xr.Dataset(variables, coords={} if name == "prior" else coords)
-            for name, variables in groups.items()
-        }
-    )
+    run = {
+        "n_record": n_record,
+        "n_chain": n_chain,
+        "n_draw": n_draw,
+        "settings": {"fit": {"prob": 0.9, "derived": ["tke"]}},
+    }
+    return Fit(run, load_scan("staring"), MemoryTables(tables), ByHand(np.full(n_record, wind_speed)))
 
 
 def mean_of(stress, name, **options):
-    table = tree_of(stress, **options).summary(derived=[name])
+    table = fit_of(stress, **options).summary(derived=[name], prob=0.5)
     return table[table["stress"] == name]["mean"].to_numpy()
 
 
@@ -76,7 +95,7 @@ class TestTable:
     def test_flags_are_in_words_on_every_row_of_a_record(self, result):
         table = result.summary()
         flags = table.groupby("record")["flag"].agg(lambda words: sorted(set(words)))
-        assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out"], [""]]
+        assert flags.tolist() == [[""], ["no_usable_beam"], ["beam_left_out;outside_noise"], ["outside_noise"]]
 
     def test_records_that_were_not_fitted_are_rows_of_nan(self, result):
         table = result.summary(derived=DERIVED)
@@ -87,11 +106,11 @@ class TestTable:
         assert not stresses[numbers].isna().any(axis=None)
 
     def test_a_result_without_times_has_no_time(self):
-        assert tree_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]).summary()["time"].isna().all()
+        assert fit_of([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]).summary(derived=())["time"].isna().all()
 
     def test_more_records_than_one_batch_come_out_in_order(self):
         uu = 1.0 + np.arange(300.0)  # the batch is 256
-        table = tree_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])).summary()
+        table = fit_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])).summary(derived=())
         np.testing.assert_allclose(table[table["stress"] == "uu"]["mean"], uu, rtol=1e-6)  # the jitter's mean
 
 
@@ -252,11 +271,8 @@ class TestRefusals:
         with pytest.raises(InputError, match=message):
             result.summary(derived=["tke", "mood"])
 
-    def test_something_else_than_a_result(self):
-        with pytest.raises(InputError, match="Not a result of bayes_rs: it has no posterior/stress"):
-            xr.summary(.DataTree())
-
 
 def test_flags_of_the_test_scene_are_what_the_fit_says(result):
-    expected = [0, FLAGS["no_usable_beam"], FLAGS["beam_left_out"], 0]
+    outside = FLAGS["outside_noise"]  # winds of 12 and 5 m/s, and noise of 10 m/s
+    expected = [0, FLAGS["no_usable_beam"], FLAGS["beam_left_out"] | outside, outside]
     assert result["sample_stats/flag"].values.tolist() == expected

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, WeakPrior, design_matrix, fit, load_scan
+from bayes_rs import InputError, fit, load_scan
 from bayes_rs.fits.frames import to_lidar_frame
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.priors.ratio import WeakPrior
 
 
 @pytest.fixture(scope="module")
@@ -72,5 +74,6 @@ def test_contraction_is_against_the_prior_in_the_same_frame(result):
 
 
 def test_refuses_another_frame(result):
+    _, found = result
     with pytest.raises(InputError, match=r"Unknown frame 'earth': it must be one of wind, lidar\."):
-        result.summary([1], frame="earth")
+        found.summary(frame="earth")

@@ -1,22 +1,22 @@
 """Directions as uncertain as each record says, and length scales of the records, through every kind of fit."""
 
 import json
+from functools import partial
 
 import folder_scene
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from bayes_rs.fits.fit_job import run_fit
-from bayes_rs.fits.record_yaw import with_yaw_sd
-from bayes_rs.fits.sensitivity_job import run_sensitivity
-from campaign_scene import NOISE, SCAN, make_records
 from click.testing import CliRunner
+from fit_scene import NOISE, SCAN, make_records
 
 import bayes_rs as brs
 from bayes_rs.cli import commands
-from bayes_rs.fits import plan as campaign_plan
+from bayes_rs.fits import from_files, plan
+from bayes_rs.fits.noise_choice import _with_yaw_sd
 from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.records import record_store
 
 OWN = Nuisances(yaw_sd_deg="records")
 FLOW = brs.load_turbulence("fu-2022")
@@ -28,34 +28,35 @@ def records():
     return make_records(12).assign(yaw_sd=("record", np.linspace(0.0, 11.0, 12)))
 
 
-class TestCampaign:
+class TestFolder:
     @pytest.mark.parametrize("size", [1, 5, 128])
     def test_the_size_of_a_part_changes_no_number(self, records, monkeypatch, tmp_path, size):
-        monkeypatch.setattr(campaign_plan, "PART_RECORDS", size)
-        found = brs.fit_campaign(records, SCAN, tmp_path / "out", nuisances=OWN, **OPTIONS).summary()
+        monkeypatch.setattr(plan, "PART_RECORDS", size)
+        found = brs.fit(records, SCAN, output=tmp_path / "out", nuisances=OWN, **OPTIONS).summary()
         expected = brs.fit(records, SCAN, nuisances=OWN, **OPTIONS).summary()
         pd.testing.assert_frame_equal(found[expected.columns], expected, check_exact=True, check_dtype=False)
 
-    def test_other_deviations_are_another_campaign(self, records, tmp_path):
-        brs.fit_campaign(records, SCAN, tmp_path / "out", nuisances=OWN, **OPTIONS)
+    def test_other_deviations_are_another_fit(self, records, tmp_path):
+        brs.fit(records, SCAN, output=tmp_path / "out", nuisances=OWN, **OPTIONS)
         other = records.assign(yaw_sd=records["yaw_sd"] + 1.0)
         with pytest.raises(brs.InputError, match="is of a run that differs in records"):
-            brs.fit_campaign(other, SCAN, tmp_path / "out", nuisances=OWN, resume=True, **OPTIONS)
+            brs.fit(other, SCAN, output=tmp_path / "out", nuisances=OWN, resume=True, **OPTIONS)
 
 
 class TestJobs:
-    def test_a_folder_is_the_same_in_any_chunks(self, tmp_path):
+    def test_a_folder_is_the_same_in_any_chunks(self, tmp_path, monkeypatch):
         folder_scene.write_files(tmp_path / "year", folder_scene.make_series(), 3)
         folder_scene.write_noise(tmp_path / "noise.nc")
         said = []
         more = {"nuisances": Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=20.0), "say": said.append}
         for name, chunk_rows in (("one", 37), ("two", 5000)):
-            folder_scene.run(tmp_path / "year", tmp_path / name, tmp_path / "noise.nc", chunk_rows=chunk_rows, **more)
-        one, two = (brs.read_summary(tmp_path / name) for name in ("one", "two"))
+            monkeypatch.setattr(from_files, "store_records", partial(record_store.store_records, chunk_rows=chunk_rows))
+            folder_scene.run(tmp_path / "year", tmp_path / name, tmp_path / "noise.nc", **more)
+        one, two = (brs.open_fit(tmp_path / name).summary() for name in ("one", "two"))
         pd.testing.assert_frame_equal(one, two, check_exact=True)
         records = xr.load_dataset(tmp_path / "one" / "records.nc")
         scan, flow = folder_scene.SCAN, folder_scene.FLOW
-        wind = brs.mean_wind(records, scan, turbulence=flow)
+        wind = brs.wind.mean_wind(records, scan, turbulence=flow)
         np.testing.assert_array_equal(records["yaw_sd"], wind["yaw_sd"])
         noise = brs.noise.load(tmp_path / "noise.nc")
         plain = {"noise": noise, "target_ess": 100, "seed": 3, "sampler": "auto", "nuisances": more["nuisances"]}
@@ -73,8 +74,8 @@ class TestJobs:
         series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=1, seed=1)
         records = brs.make_records(series, scan)
         brs.noise.calibrate(scan, FLOW, wind_speed=10.0, cache=False).save(tmp_path / "noise.nc")
-        table = run_sensitivity(
-            records, scan, noise_file=tmp_path / "noise.nc", factors=[2.0], sampler="direct", nuisances=OWN
+        table = brs.prior_sensitivity(
+            records, scan, seed=1, noise=tmp_path / "noise.nc", factors=[2.0], sampler="direct", nuisances=OWN
         )
         assert len(table) == 12
 
@@ -82,16 +83,16 @@ class TestJobs:
         scan = brs.load_scan("6-beam")
         records = brs.make_records(brs.simulate(scan, FLOW, wind_speed=10.0, n_records=3, seed=2), scan)
         said = []
-        assert with_yaw_sd(records, scan, NOISE, None, said.append) is records
-        assert with_yaw_sd(records, scan, NOISE, Nuisances(yaw_sd_deg=2.0), said.append) is records
+        assert _with_yaw_sd(records, scan, NOISE, Nuisances(), said.append) is records
+        assert _with_yaw_sd(records, scan, NOISE, Nuisances(yaw_sd_deg=2.0), said.append) is records
         own = records.assign(yaw_sd=("record", [1.0, 2.0, 3.0]))
-        assert with_yaw_sd(own, scan, NOISE, OWN, said.append) is own
+        assert _with_yaw_sd(own, scan, NOISE, OWN, said.append) is own
         assert said == []
         turned = records.assign(yaw=records["yaw"] + xr.DataArray([0.0, 360.0, 0.1], dims="record"))
         with pytest.raises(
             brs.InputError, match=r"Invalid yaw .* degrees of record 2, one of 1: its beams' means give"
         ):
-            with_yaw_sd(turned, scan, NOISE, OWN, said.append)
+            _with_yaw_sd(turned, scan, NOISE, OWN, said.append)
 
     def test_the_length_scales_of_records_reach_the_noise_that_is_made(self, tmp_path, monkeypatch):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
@@ -101,15 +102,15 @@ class TestJobs:
         records = xr.concat([records, records], dim="record").drop_vars("time")
         records = records.isel(record=[0, 2]).assign(length_scale=("record", [20.0, 160.0]))
         said = []
-        outcome = run_fit(records, scan, tmp_path / "out", sampler="direct", target_ess=1000, say=said.append)
+        found = brs.fit(records, scan, seed=1, sampler="direct", target_ess=1000, say=said.append)
         assert any(", L 20 to 160 m" in line for line in said)
-        width = np.log(outcome.result["posterior/stress"].sel(component="uu")).std(("chain", "draw")).values
+        width = np.log(found["posterior/stress"].sel(component="uu")).std(("chain", "draw")).values
         # the same variances; eight times the eddies are an eighth as many in a record. sd of 1000 draws: 2.2 %
         assert width[1] > 1.2 * width[0]
         made = brs.noise.calibrate(scan, FLOW, wind_speed=10.0, cache=False)
         made.save(tmp_path / "noise.nc")
         with pytest.raises(brs.InputError, match=r"Record 0 has a length_scale of its own, 20 m, .* only 61 m"):
-            run_fit(records, scan, tmp_path / "again", noise_file=tmp_path / "noise.nc")
+            brs.fit(records, scan, seed=1, noise=tmp_path / "noise.nc")
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +130,7 @@ class TestCommand:
         words = ["fit", inputs / "day.csv", "--scan", "2-beam", "--noise", inputs / "noise.nc", "--ess", 100, *more]
         return CliRunner().invoke(commands, [str(word) for word in words])
 
-    @pytest.mark.parametrize("draws", ["full", "none"])
+    @pytest.mark.parametrize("draws", ["float64", "none"])
     def test_it_is_what_the_functions_give(self, inputs, tmp_path, draws):
         more = ("--sampler", "direct", "--yaw-sd", "records", "--draws", draws, "-o", tmp_path / "out")
         done = self.run(inputs, *more)
@@ -137,7 +138,7 @@ class TestCommand:
         assert "uncertainty of the wind's direction: from the beams' means" in done.output
         scan = brs.load_scan("2-beam")
         records = brs.make_records(brs.read(inputs / "day.csv", scan), scan)
-        wind = brs.mean_wind(records, scan, turbulence=FLOW)
+        wind = brs.wind.mean_wind(records, scan, turbulence=FLOW)
         found = xr.load_dataset(tmp_path / "out" / "records.nc")
         np.testing.assert_array_equal(found["yaw_sd"], wind["yaw_sd"])
         noise = brs.noise.load(inputs / "noise.nc")
@@ -145,7 +146,7 @@ class TestCommand:
         expected = brs.fit(wind, scan, **options).summary()
         table = pd.read_csv(tmp_path / "out" / "summary.csv")
         np.testing.assert_allclose(table["mean"], expected["mean"], rtol=1e-12)
-        plain = brs.fit(wind, scan, **{**options, "nuisances": None}).summary()
+        plain = brs.fit(wind, scan, **{**options, "nuisances": Nuisances()}).summary()
         assert not np.allclose(plain["mean"], expected["mean"], rtol=1e-6)
 
     @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def scans() -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:
-    """Make records, one variance a beam and averaging period, from files of radial velocities."""
+    """Make records, one variance per beam and averaging period, from files of radial velocities."""
     from bayes_rs.output import output_file, write_netcdf
 
     settings = settings_of(files, options)

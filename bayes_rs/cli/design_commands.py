@@ -2,68 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, field_option
-
-
-class _OptionsCommand(GroupedCommand):
-    """A command whose options are made of classes of options, which are loaded when they are asked for."""
-
-    classes: tuple[tuple[str, str], ...] = ()
-    _params: list[click.Parameter]
-    _complete = False
-
-    @property
-    def params(self) -> list[click.Parameter]:
-        """The parameters: one for each field of the classes, and the command's own."""
-        if not self._complete:
-            self._complete = True
-            first = [param for param in self._params if isinstance(param, click.Argument)]
-            self._params = [*first, *self._of_classes(), *(param for param in self._params if param not in first)]
-        return self._params  # click itself adds to this list
-
-    @params.setter
-    def params(self, own: list[click.Parameter]) -> None:
-        self._params = own
-
-    def _of_classes(self) -> list[click.Parameter]:
-        from bayes_rs.options import options_of
-
-        made: list[click.Parameter] = []
-        for title, place in self.classes:
-            module, _, name = place.partition(":")
-            fields = options_of(getattr(importlib.import_module(module), name))
-            made += [field_option(entry, title) for entry in fields if entry.flag]
-        return made
-
-
-class _CompareCommand(_OptionsCommand):
-    classes = (("Comparison", "bayes_rs.design.compare_options:CompareOptions"),)
-
-
-class _OptimizeCommand(_OptionsCommand):
-    classes = (
-        ("What the scan may be", "bayes_rs.design.scan_limits:ScanLimits"),
-        ("What it is judged by", "bayes_rs.design.scan_criteria:CriterionOptions"),
-    )
-
-
-def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what was not given: it has the default of its field."""
-    return {name: value for name, value in options.items() if value is not None and value != ()}
-
+from bayes_rs.cli.options import GroupedCommand, class_options
+from bayes_rs.design.compare_options import CompareOptions
+from bayes_rs.design.scan_criteria import CriterionOptions
+from bayes_rs.design.scan_limits import ScanLimits
 
 _output = click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
 
 
-@click.command(name="compare", cls=_CompareCommand)
+@click.command(name="compare", cls=GroupedCommand)
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
+@class_options((CompareOptions, "Comparison"))
 @_output
 @_overwrite
 def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:
@@ -83,7 +38,8 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
     click.echo(f"table, figure and JSON in {output}")
 
 
-@click.command(cls=_OptimizeCommand)
+@click.command(cls=GroupedCommand)
+@class_options((ScanLimits, "What the scan may be"), (CriterionOptions, "What it is judged by"))
 @click.option(
     "--beams", "n_beams", type=int, multiple=True, required=True, help="Number of beams; of several, the best is kept."
 )
@@ -100,3 +56,8 @@ def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, o
     for line in words:
         click.echo(line)
     click.echo(f"scan, numbers and picture in {output}")
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what was not given: it has the default of its field."""
+    return {name: value for name, value in options.items() if value is not None and value != ()}

@@ -41,7 +41,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
         raise click.UsageError("Missing option '-o' / '--output': name a folder for the results.")
     refuse_beside_noise(settings)
     if not settings.output.resume:
-        check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.files.files)
+        check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
     if settings.files.files and open_record_files(settings.files.files, settings.scan.load()) is not None:
         refuse_for_records(settings.files.files)
     if save_settings is not None:

@@ -164,6 +164,18 @@ def settings_options(
     return decorate
 
 
+def class_options(*classes: tuple[type, str]) -> Callable[[_Command], _Command]:
+    """Return a decorator that gives a command the options of classes of options, each with the title of its group."""
+
+    def decorate(command: _Command) -> _Command:
+        made = [field_option(entry, title) for cls, title in classes for entry in options_of(cls) if entry.flag]
+        parameters = getattr(command, "__click_params__", [])
+        command.__click_params__ = [*parameters, *reversed(made)]  # type: ignore[attr-defined] # as click keeps them
+        return command
+
+    return decorate
+
+
 def settings_of(files: Sequence[str], options: Mapping[str, Any]) -> Settings:
     """Return the settings of a command: those of a settings file, if one is named, and over them the options given.
 

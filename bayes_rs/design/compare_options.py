@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from bayes_rs.design.estimators import ESTIMATORS
 from bayes_rs.errors import InputError
 from bayes_rs.options import described, option
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 METHODS = ("fast", "full", "both")
 TARGETS = ("record", "ensemble")
@@ -39,7 +40,7 @@ class CompareOptions:
         "weak", "Prior; of several, each is a case of its own", choices="bayes_rs.priors.registry:PRIORS", open=True
     )
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")
-    duration: float | tuple[float, ...] = option(
+    duration: float | Sequence[float] = option(
         600.0, "Length of a record; several are compared with each other", unit="s"
     )
     target: str = option(
@@ -54,7 +55,7 @@ class CompareOptions:
     n_records: int | None = option(
         None, f"Records for each scene; {_FAST} for fast and {_FULL} for full if not given", flag="--records"
     )
-    estimators: str | tuple[str, ...] | None = option(
+    estimators: str | Sequence[str] | None = option(
         None,
         "Classic estimators beside the posterior; all if not given",
         choices="bayes_rs.design.estimators:ESTIMATORS",
@@ -98,7 +99,7 @@ class CompareOptions:
     def flows(self) -> list[MannTurbulence]:
         """Return the turbulences."""
         given = [self.turbulence] if isinstance(self.turbulence, (str, MannTurbulence)) else list(self.turbulence)
-        return [flow if isinstance(flow, MannTurbulence) else load_turbulence(flow) for flow in given]
+        return [as_turbulence(flow) for flow in given]
 
     def priors(self) -> list[Prior]:
         """Return the priors."""

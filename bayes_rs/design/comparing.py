@@ -27,7 +27,7 @@ from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import from_plain
 from bayes_rs.priors.registry import Prior
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress as shown
 from bayes_rs.theory.sonic_theory import sonic_moments
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -63,7 +63,7 @@ ENOUGH = 0.02
 
 
 def compare(
-    scans: str | Path | Scan | Sequence[str | Path | Scan], *, show_progress: bool | None = None, **options: Any
+    scans: str | Path | Scan | Sequence[str | Path | Scan], *, progress: bool | None = None, **options: Any
 ) -> pd.DataFrame:
     """Compare scans by how well they would know the stresses of a turbulence.
 
@@ -74,7 +74,7 @@ def compare(
         ``"6-beam@opening_angle_deg=30,focus_distance=52"``. Several values of a change, separated by ``/``, make
         several scans, and of several changes all combinations: ``"6-beam@opening_angle_deg=15/30/45,n_beams=4/6"``.
         Several focus distances joined by ``+`` are the planes of one scan.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
     **options
         Fields of `CompareOptions`: ``turbulence``, ``prior``, ``wind_speed``, ``duration``, ``target``, ``method``,
@@ -114,8 +114,8 @@ def compare(
     loaded, flows, priors = named_scans(scans), chosen.flows(), chosen.priors()
     cells = list(product(loaded, chosen.durations, flows))
     rows: list[dict[str, Any]] = []
-    silent = None if show_progress is None else not show_progress
-    for (label, scan), duration, flow in progress(cells, len(cells), "comparing", disable=silent):
+    silent = None if progress is None else not progress
+    for (label, scan), duration, flow in shown(cells, len(cells), "comparing", disable=silent):
         scene = _Scene.at(label, scan, flow, duration, chosen)
         for kind in chosen.kinds:
             began = time.perf_counter()
@@ -185,14 +185,15 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
         records,
         scene.scan,
         noise=scene.noise,
+        seed=seed,
         prior=prior,
         target=scene.target,
         sampler="auto",
-        seed=seed,
         draws="float64",
         progress=False,
     )
-    flat, of_prior = found.draws().reshape(found.n_record, -1, len(STRESSES)), found.prior_draws
+    stress, of_prior = found.draws(), found.prior_draws
+    flat = stress.reshape(len(stress), -1, len(STRESSES))
     low90, low50, median, high50, high90 = np.quantile(flat, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1)
     mean = flat.mean(axis=1)
     shape, prior_shape = (draws / draws[..., :3].sum(axis=-1, keepdims=True) for draws in (flat, of_prior))

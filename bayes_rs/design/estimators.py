@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -13,6 +14,7 @@ from bayes_rs._validation import FloatArray, check_array, check_choice, check_no
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.noise.noise import Noise
 
@@ -71,7 +73,7 @@ ESTIMATORS: dict[str, Callable[[float, float], StressForm]] = {
 
 def estimate(
     records: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
     method: str = "lsq",
     weights: str = "none",
@@ -87,8 +89,8 @@ def estimate(
     records : Dataset, dims (record, beam)
         From `make_records`: ``variance`` (m² s⁻²), ``flag``, and per record ``yaw`` (degree); ``wind_speed`` (m/s) if
         there is `noise`. Beams with a flag are left out of their record.
-    scan : Scan
-        The scan that measured them. Each record is solved at its own yaw.
+    scan : Scan, str or Path
+        The scan that measured them, or its name or file. Each record is solved at its own yaw.
     method : str
         What is taken for granted:
 
@@ -191,7 +193,7 @@ def estimate(
     >>> [round(float(estimate(records, scan, method=name)["stress"][0, 0]), 3) for name in ("isotropy", "ratio", "lsp")]
     [1.726, 1.793, 1.85]
     """
-    scan = _checked_scan(records, scan)
+    scan = _checked_scan(records, as_scan(scan))
     form = _chosen_form(method, ratio_vv, ratio_ww)
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
@@ -321,7 +323,7 @@ def _has_noise(records: xr.Dataset, part: slice, used: BoolArray, mean: FloatArr
 def _relative_covariance(
     noise: Noise, records: xr.Dataset, part: slice, yaw: FloatArray, known: BoolArray
 ) -> tuple[FloatArray, int]:
-    """Return K of each record, zeros where it is not known, and how many records are outside the bank."""
+    """Return K of each record, zeros where it is not known, and how many records are outside the noise."""
     relative = np.zeros((len(yaw), noise.n_beam, noise.n_beam))
     if not known.any():
         return relative, 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ from bayes_rs.design.scan_optimum import ScanOptimum, beam_angles_deg
 from bayes_rs.design.scan_search import ScanSearch, SearchEnd, value_at
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.scan_file import as_scan, load_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import preset_names
 from bayes_rs.options import from_plain, nearest, options_of, to_plain
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress as shown
 
 __all__ = ["ScanOptimum", "optimize_scan", "scan_criterion"]
 
@@ -31,7 +32,7 @@ def optimize_scan(
     *,
     n_starts: int = 24,
     seed: int | np.random.Generator = 1,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
     **options: Any,
 ) -> ScanOptimum:
     """Choose the directions of a scan's beams so that it tells most about R.
@@ -44,7 +45,7 @@ def optimize_scan(
         Number of local searches, each from the best of 16 random scans.
     seed : int or Generator
         Same seed, same scan.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
     **options
         Fields of `ScanLimits`, of which ``max_angle_deg`` or ``rotor_radius`` must be given, and of `CriterionOptions`.
@@ -100,7 +101,7 @@ def optimize_scan(
     check_count(n_starts, what="n_starts")
     rng = as_generator(seed)
     start = int(rng.integers(0, 2**63)) if isinstance(seed, np.random.Generator) else int(seed)
-    silent = None if show_progress is None else not show_progress
+    silent = None if progress is None else not progress
     found = {number: _best_scan(number, limits, scale, n_starts, start, silent) for number in tried}
     best = min(found.values(), key=lambda one: one.value)
     return replace(
@@ -166,7 +167,7 @@ def _ends(
         for space, count in zip(spaces, counts, strict=True)
         for variables, cone in search.starts(space, rng, count)
     ]
-    ends = [search.descend(*job) for job in progress(jobs, len(jobs), "searching", disable=silent)]
+    ends = [search.descend(*job) for job in shown(jobs, len(jobs), "searching", disable=silent)]
     return sorted(ends, key=lambda end: end.value)
 
 
@@ -183,12 +184,12 @@ def _options(options: dict[str, Any]) -> tuple[ScanLimits, CriterionOptions]:
     return from_plain(ScanLimits, limits, where=where), from_plain(CriterionOptions, judged, where=where)
 
 
-def scan_criterion(scan: str | Scan, criterion: str = "width", **options: Any) -> float:
+def scan_criterion(scan: Scan | str | Path, criterion: str = "width", **options: Any) -> float:
     """Return the criterion of a scan, exactly as `optimize_scan` would report it.
 
     Parameters
     ----------
-    scan : str or Scan
+    scan : Scan, str or Path
         Any scan, or its name or file.
     criterion : str
         Name of the criterion.
@@ -211,7 +212,7 @@ def scan_criterion(scan: str | Scan, criterion: str = "width", **options: Any) -
     12.6
     """
     judged = from_plain(CriterionOptions, {"criterion": criterion, **options}, where="the call of scan_criterion")
-    return float(np.max(judged.make().of(scan if isinstance(scan, Scan) else load_scan(scan))))
+    return float(np.max(judged.make().of(as_scan(scan))))
 
 
 def _references(search: ScanSearch, space: BeamSpace) -> tuple[dict[str, float], tuple[str, ...]]:
@@ -265,4 +266,4 @@ def _plain_details(limits: ScanLimits, judged: CriterionOptions) -> dict[str, An
         prior=judged.prior if isinstance(judged.prior, str) else judged.prior.in_words(),
     )
     probe = limits.probe if isinstance(limits.probe, str) else str(limits.probe.parameters())
-    return {**to_plain(replace(limits, probe=probe)), **to_plain(named)}
+    return {**to_plain(replace(limits, probe=probe, blocked_deg=limits.blocked)), **to_plain(named)}

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ class Plan:
 
 
 def plan(
-    scan: Scan,
-    turbulence: MannTurbulence,
+    scan: Scan | str | Path,
+    turbulence: MannTurbulence | str | Path = "fu-2022",
     *,
     wind_speed: float,
     duration: float = 600.0,
@@ -78,10 +80,10 @@ def plan(
 
     Parameters
     ----------
-    scan : Scan
-        The scan.
-    turbulence : MannTurbulence
-        The turbulence of the noise.
+    scan : Scan, str or Path
+        The scan, or its name or file.
+    turbulence : MannTurbulence, str or Path
+        The turbulence of the noise, or its name or file.
     wind_speed : float
         Mean wind speed, m/s.
     duration : float
@@ -103,12 +105,11 @@ def plan(
 
     Examples
     --------
-    >>> from bayes_rs import load_scan, load_turbulence
-    >>> made = plan(load_scan("50-beam"), load_turbulence("fu-2022"), wind_speed=10.0)
+    >>> made = plan("50-beam", wind_speed=10.0)
     >>> made.steps[4].decision
     '50 variances a record are reduced to 5 numbers'
     """
-    chosen = make_prior(prior)
+    chosen, scan, turbulence = make_prior(prior), as_scan(scan), as_turbulence(turbulence)
     noise = theory_noise(scan, turbulence, wind_speed=wind_speed, duration=duration)
     seen = sight(scan)
     title = (
@@ -173,9 +174,9 @@ def _bank(shipped: Noise | None) -> Step:
         )
     return Step(
         what,
-        "a bank of states is computed where the records are, and kept in the cache",
+        "a net of states is computed where the records are, and kept in the cache",
         "none is shipped for this scan, turbulence and record length",
-        "1 % of K between the states, measured when the bank is made",
+        "1 % of K between the states, measured when the net is made",
     )
 
 

@@ -20,7 +20,7 @@ from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import described, option
 from bayes_rs.priors.registry import Prior, make_prior
-from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 """How often each stress stands among the nine elements of the tensor."""
@@ -46,7 +46,7 @@ class CriterionOptions:
         "under equal and independent noise, for which nothing of the following matters",
         choices="bayes_rs.design.scan_criteria:CRITERIA",
     )
-    stresses: tuple[str, ...] = option(
+    stresses: Sequence[str] = option(
         (),
         "Stresses whose widths count, all if not given; with a weight as vv=3",
         flag="--stress",
@@ -61,7 +61,7 @@ class CriterionOptions:
     prior: str | Prior = option("weak", "Prior", choices="bayes_rs.priors.registry:PRIORS", open=True)
     wind_speed: float = option(10.0, "Mean wind speed", unit="m/s")
     duration: float = option(600.0, "Length of a record", unit="s")
-    yaw_deg: float | tuple[float, ...] | None = option(
+    yaw_deg: float | Sequence[float] | None = option(
         None,
         "Wind direction relative to the lidar's axis, that of the scan if not given; of several, the worst case counts",
         unit="degrees",
@@ -111,7 +111,7 @@ class CriterionOptions:
         given = [self.turbulence] if isinstance(self.turbulence, (str, MannTurbulence)) else list(self.turbulence)
         if not given:
             raise InputError("Invalid turbulence []: give one, or several for the worst case over them.")
-        return [flow if isinstance(flow, MannTurbulence) else load_turbulence(flow) for flow in given]
+        return [as_turbulence(flow) for flow in given]
 
     def make(self) -> ScanCriterion:
         """Return the criterion."""

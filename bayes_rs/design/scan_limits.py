@@ -44,18 +44,20 @@ class ScanLimits:
     rotor_radius: float | None = option(
         None, "Largest distance of a measured point from the axis; this or the largest angle must be given", unit="m"
     )
-    focus_distance: float | tuple[float, ...] = option(
+    focus_distance: float | Sequence[float] = option(
         98.0, "Focus distance; at several, all beams measure at each", unit="m"
     )
     cones: int | None = option(
         None, "How many opening angles the beams off the axis share; each has its own if not given"
     )
     centre: bool | None = option(
-        None, "Whether one beam points along the axis; if not given, both are tried where cones are shared"
+        None,
+        "Whether one beam points along the axis; if not given, both are tried where cones are shared",
+        flag="--centre/--no-centre",
     )
-    blocked_deg: Sequence[Sequence[float]] = option(
+    blocked_deg: Sequence[str | Sequence[float]] = option(
         (),
-        "Ranges of θ, from y towards z, in which no beam may point; 350 to 10 goes through 0",
+        "Ranges of θ, from y towards z, in which no beam may point, as 200:340 or (200, 340); 350:10 goes through 0",
         unit="degrees",
         flag="--blocked",
         metavar="FROM:TO",
@@ -103,7 +105,7 @@ class ScanLimits:
         check_positive(self.scan_duration, what="scan_duration", unit="s")
         if self.dwell is not None:
             check_positive(self.dwell, what="dwell", unit="s")
-        free_arcs(self.blocked_deg)
+        free_arcs(self.blocked)
 
     @property
     def distances(self) -> FloatArray:
@@ -111,6 +113,11 @@ class ScanLimits:
         return check_array(
             np.atleast_1d(np.asarray(self.focus_distance, dtype=np.float64)), (None,), what="focus_distance"
         )
+
+    @property
+    def blocked(self) -> list[Sequence[float]]:
+        """The blocked ranges as pairs of numbers, degrees."""
+        return [_range(text) if isinstance(text, str) else text for text in self.blocked_deg]
 
     @property
     def max_angle(self) -> float:
@@ -131,7 +138,7 @@ class ScanLimits:
         space = BeamSpace(
             n_beams=n_beams,
             max_angle=self.max_angle,
-            arcs=free_arcs(self.blocked_deg),
+            arcs=free_arcs(self.blocked),
             min_elevation=None if self.min_elevation_deg is None else float(np.deg2rad(self.min_elevation_deg)),
             min_spread=float(np.deg2rad(self.min_spread_deg)),
             upward=self.axis == "up",
@@ -177,3 +184,11 @@ class ScanLimits:
             tilt=float(np.deg2rad(self.tilt_deg)),
             probe=PointProbe() if self.probe == "point" else as_probe(self.probe),
         )
+
+
+def _range(text: str) -> tuple[float, float]:
+    try:
+        start, end = (float(part) for part in text.split(":"))
+    except ValueError as error:
+        raise InputError(f"Invalid blocked range {text!r}: write it as FROM:TO in degrees, such as 200:340.") from error
+    return start, end

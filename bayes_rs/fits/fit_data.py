@@ -147,8 +147,9 @@ class FitData:
         Parameters
         ----------
         dataset : str
-            ``"summary"``; ``"posterior"``, a row a record with flag, sampler, diagnostics, covariances of the stresses
-            and contractions along the directions of R; or, where draws were kept, ``"draws"`` or ``"predicted"``.
+            ``"summary"``; ``"posterior"``, a row for each record with flag, sampler, diagnostics, covariances of the
+            stresses and contractions along the directions of R; or, where draws were kept, ``"draws"`` or
+            ``"predicted"``.
 
         Returns
         -------

@@ -24,7 +24,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.parts import Done, Part, fit_part
-from bayes_rs.fits.plan import LAYOUT, PART_RECORDS, Plan
+from bayes_rs.fits.plan import LAYOUT, Plan
 from bayes_rs.fits.tables import names_of_part, part_names, read_table, write_table
 from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.scan_file import load_scan_text
@@ -110,9 +110,13 @@ def fit_into(
             "resume goes on from there."
         )
         raise
-    found = Fit(run, plan.scan, FolderTables(folder), _InFolder(folder), str(folder.path))
-    _write_exports(folder, found)
-    counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
+    found = Fit(run, plan.scan, FolderTables(folder, int(run["part_records"])), _InFolder(folder), str(folder.path))
+    try:
+        _write_exports(folder, found)
+        counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
+    except (InputError, OSError):
+        folder.check_whole()  # a part that went while the others were made is named as lost
+        raise
     seconds = {**run.get("seconds", {}), "fitting": round(time.perf_counter() - began, 3)}
     folder.finish({**run, **counts, "seconds": seconds})
 
@@ -138,27 +142,28 @@ def open_fit(folder: str | Path) -> Fit:
     Examples
     --------
     >>> import tempfile, bayes_rs as brs
-    >>> records = brs.make_records(brs.simulate("2-beam", wind_speed=10.0, n_records=2, seed=1), "2-beam")
+    >>> records = brs.make_records(brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1), "2-beam")
     >>> with tempfile.TemporaryDirectory() as place:
     ...     found = brs.fit(records, "2-beam", seed=1, output=f"{place}/two")
     ...     open_fit(f"{place}/two").summary().equals(found.summary())
     True
     """
     opened = open_result_folder(folder)
-    run = opened.run()
-    if "settings" not in run or "n_record" not in run:
-        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command, or the fit has not begun.")
     if not opened.finished:
         raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
+    run = opened.run()
+    if "settings" not in run or "n_record" not in run:
+        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
     scan = load_scan_text(run["scan_toml"], name=run["scan"])
-    return Fit(run, scan, FolderTables(opened), _InFolder(opened), str(folder))
+    return Fit(run, scan, FolderTables(opened, int(run["part_records"])), _InFolder(opened), str(folder))
 
 
 @dataclass(frozen=True, eq=False)
 class FolderTables:
-    """Tables in a folder of results."""
+    """Tables in a folder of results, in parts of so many records."""
 
     folder: ResultFolder
+    part_records: int
 
     @cached_property
     def _names(self) -> dict[str, list[str]]:
@@ -176,7 +181,7 @@ class FolderTables:
         """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
         names = self._names[dataset]
         if records is not None and len(records):
-            parts = {f"part-{index:06d}.parquet" for index in np.unique(records // PART_RECORDS).tolist()}
+            parts = {f"part-{index:06d}.parquet" for index in np.unique(records // self.part_records).tolist()}
             names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
         return read_table(self.folder, names, columns)
 
@@ -188,8 +193,12 @@ class _InFolder:
     folder: ResultFolder
 
     def records(self) -> xr.Dataset:
-        check_netcdf(self.folder.checked(RECORDS_FILE), guarded=True)
-        return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
+        file = self.folder.checked(RECORDS_FILE)
+        check_netcdf(file, guarded=True)
+        try:
+            return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
+        except (ValueError, KeyError, OSError) as error:  # no such file was ever written by a fit
+            raise InputError(f"File {str(file)!r} cannot be read as records: {error}.") from error
 
     def prior_draws(self) -> FloatArray:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,10 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.begin_folder import begin_result_folder
-from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit
@@ -25,7 +24,7 @@ from bayes_rs.fits.workers import check_workers, done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.options import nearest, options_of, to_plain
+from bayes_rs.options import to_plain
 from bayes_rs.progress import progress_counter
 
 
@@ -106,13 +105,13 @@ def fit(
     of R. Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
     (`SonicFactor`). S is what the draws are, and what ESS and R-hat are of (`draw_sonic`).
 
-    The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders such
-    as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row a record)
-    and, where draws are kept, ``draws`` and ``predicted`` (one row a draw); pandas reads each, or one month of it, as
-    one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever one is read. A part
-    counts only if it is whole. A record whose likelihood cannot be calculated is flagged ``likelihood_failed`` and
-    stops nothing. All numbers are the same for a seed, in memory or in a folder, whatever the number of workers, the
-    order in which they finish, and however often the run was interrupted.
+    The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders
+    such as ``month=2020-09`` if the records have times: ``summary`` (as `Fit.summary`), ``posterior`` (one row for
+    each record) and, where draws are kept, ``draws`` and ``predicted`` (one row for each draw); pandas reads each, or
+    one month of it, as one table. ``fingerprints.jsonl`` has a fingerprint of every file, which is checked whenever
+    one is read. A part counts only if it is whole. A record whose likelihood cannot be calculated is flagged
+    ``likelihood_failed`` and stops nothing. All numbers are the same for a seed, in memory or in a folder, whatever
+    the number of workers, the order in which they finish, and however often the run was interrupted.
 
     Examples
     --------
@@ -138,26 +137,6 @@ def fit(
     ) as folder:
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=given)
     return open_fit(output)
-
-
-def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]:
-    """Return the options of a fit by their classes.
-
-    Raises
-    ------
-    InputError
-        If one is not known.
-    """
-    of_fit = {entry.name for entry in options_of(FitOptions)}
-    of_noise = {entry.name for entry in options_of(NoiseOptions)} - {"noise"}
-    for name in options:
-        if name not in of_fit | of_noise:
-            known = dict.fromkeys(sorted(of_fit | of_noise))
-            raise InputError(f"Unknown option {name!r} of fit: {nearest(name, known)}.")
-    return (
-        FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
-        NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),
-    )
 
 
 def with_median_length_scale(

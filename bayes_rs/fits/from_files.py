@@ -65,9 +65,9 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     -----
     First the records of all files are made, piece by piece, with memory that does not grow with the files; then the
     noise for their wind speeds and directions; then they are fitted. A file that cannot be read, or that holds anything
-    that cannot be used, counts for nothing, and is named at the end. All results are the same however often the run was
-    interrupted. A run that is resumed with more files than before reads those that came since, and fits all records
-    again.
+    that cannot be used, ends the run; with ``on_bad_file="skip"`` nothing of it counts, and it is named at the end. All
+    results are the same however often the run was interrupted. A run that is resumed with more files than before reads
+    those that came since, and fits all records again.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         key_parts=parts,
         resume=settings.output.resume,
         overwrite=settings.output.overwrite,
-        inputs=[file for file in files if Path(file).exists()],
+        inputs=settings.input_files(),
     ) as folder:
         about: dict[str, Any] = {"source_files": [Path(file).name for file in files], "bad_files": {}}
         if records is None:

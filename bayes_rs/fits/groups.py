@@ -140,7 +140,7 @@ def attributes(fit: FitData) -> dict[str, Any]:
         **clipped,
         "created_by": f"bayes_rs {run['bayes_rs']}",
         **{name: run[name] for name in ("scan", "scan_key", "sight", "prior", "prior_name")},
-        "noise": json.dumps(run["noise"]),
+        "noise": json.dumps(run["noise"], sort_keys=True),
     }
 
 

@@ -136,6 +136,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "nuisances": options.nuisances.in_words(),
         "nuisance_names": list(options.nuisances.names),
         "n_record": len(batch),
+        "part_records": PART_RECORDS,
         "n_chain": N_CHAIN,
         "n_draw": n_kept(options),
         "n_predicted": n_kept(options) // BLOCK,
@@ -145,9 +146,9 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
 
 def plain_options(options: FitOptions) -> dict[str, Any]:
     """Return the options as `run.json` holds them; a prior that is an object of Python is null there."""
-    own = options if isinstance(options.prior, str) else replace(options, prior=options.made_prior.name)
-    plain = to_plain(own) if isinstance(options.prior, str) else {**to_plain(replace(own, prior="weak"))}
-    return plain if isinstance(options.prior, str) else {**plain, "prior": None}
+    if isinstance(options.prior, str):
+        return to_plain(options)
+    return {**to_plain(replace(options, prior="weak")), "prior": None}
 
 
 def version_parts() -> dict[str, Any]:

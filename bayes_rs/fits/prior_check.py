@@ -13,7 +13,8 @@ import xarray as xr
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fitting import fit, split_options, with_median_length_scale
+from bayes_rs.fits.fit_options import split_options
+from bayes_rs.fits.fitting import fit, with_median_length_scale
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -72,10 +73,8 @@ def prior_sensitivity(
     Examples
     --------
     >>> import bayes_rs as brs
-    >>> scan, flow = brs.load_scan("50-beam"), brs.load_turbulence("fu-2022")
-    >>> noise = brs.calibrate(scan, flow, wind_speed=10.0, cache=False)
-    >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=4, seed=1), scan)
-    >>> table = prior_sensitivity(records, scan, noise=noise, seed=1)
+    >>> series = brs.simulate("50-beam", "fu-2022", wind_speed=10.0, n_records=4, seed=1)
+    >>> table = prior_sensitivity(brs.make_records(series, "50-beam"), "50-beam", seed=1)
     >>> table.query("stress == 'uu' and factor == 1")["width_ratio"].item()
     1.0
     """
@@ -126,7 +125,7 @@ class _Spread:
 
     def __init__(self, result: Fit, version: Prior, prob: float) -> None:
         stress = result.draws()[result.fitted]
-        flat = stress.reshape(len(stress), -1, len(STRESSES))
+        flat = stress.reshape(len(stress), stress.shape[1] * stress.shape[2], len(STRESSES))
         levels = [0.5 - 0.5 * prob, 0.5, 0.5 + 0.5 * prob]
         ends = np.quantile(flat, levels, axis=1) if len(flat) else np.empty((3, 0, len(STRESSES)))
         self.median: FloatArray = ends[1]

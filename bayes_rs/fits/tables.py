@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -12,8 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from bayes_rs.errors import InputError
-from bayes_rs.result_folder import ResultFolder, open_result_folder
+from bayes_rs.result_folder import ResultFolder
 
 MONTH = "month="
 """Begins the name of a folder with the records of one month, as Hive has it."""
@@ -23,42 +21,6 @@ def part_names(folder: ResultFolder, dataset: str) -> list[str]:
     """Return the files of a Parquet dataset that a folder lists, in the order of the records."""
     found = [name for name in folder.names(f"{dataset}/") if name.endswith(".parquet")]
     return sorted(found, key=lambda name: name.split("/")[::-1])
-
-
-def read_summary(folder: str | Path) -> pd.DataFrame:
-    """Read the summary that `fit_campaign` wrote; of an interrupted run, what is finished.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The output folder.
-
-    Returns
-    -------
-    table : DataFrame
-        With the columns of `bayes_rs.summary`, in the order of the records.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no summary, or a file of it was changed since it was written.
-    """
-    return read_tables(folder, "summary")
-
-
-def read_tables(folder: str | Path, dataset: str, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read a Parquet dataset of a long fit, or some of its columns, as one table in the order of the records.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no such dataset, or a file of it was changed since it was written.
-    """
-    opened = open_result_folder(folder)
-    names = part_names(opened, dataset)
-    if not names:
-        raise InputError(f"No {dataset} in {str(folder)!r}: give the output folder of fit_campaign.")
-    return read_table(opened, names, columns)
 
 
 def read_table(folder: ResultFolder, names: Iterable[str], columns: Sequence[str] | None = None) -> pd.DataFrame:

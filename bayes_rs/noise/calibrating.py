@@ -73,7 +73,7 @@ def calibrate(
         the states a net that is just fine enough (`refined_noise`); without it, every combination of them is a state.
         Noise for records is a net in any case, of 0.01 by default.
     present : array_like of bool, shape (n_beam, n_sample), optional
-        Which samples of a record there are, by theory at one state: see `gap_noise`.
+        Which samples of a record there are, by theory at one state: the noise of a record with gaps.
     sonic : bool
         Add the joint moments with the stresses of a sonic at the rotor's centre, which the target ``"sonic"`` of `fit`
         needs; by theory only.

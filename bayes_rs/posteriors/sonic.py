@@ -23,8 +23,6 @@ CLIP_LIMIT = 0.05
 nothing open, log-normal numbers of the right first two moments do so by up to 0.02, and interpolated noise has errors
 of 0.01. Such an eigenvalue is set to zero, and the result reports how far below it was."""
 
-ESS_MARGIN = 1.25
-"""R is sampled by so much more than asked for: S has an effective sample size of its own, estimated anew."""
 
 _CONVERGED = 1e-12  # of the moments that are matched: far below any error of theirs
 _MOST_STEPS = 500
@@ -342,7 +340,7 @@ def _checked_root(left: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatA
         raise NotPositiveDefiniteError(
             f"The moments of the sonic and the beams of record {worst} contradict each other: given the beams, the "
             f"sonic's covariance has the eigenvalue {values[worst, 0]:.3g}, {below[worst]:.2g} of the largest below "
-            f"zero, and {CLIP_LIMIT:g} is allowed; make the noise bank with a smaller tolerance.",
+            f"zero, and {CLIP_LIMIT:g} is allowed; make the noise with a smaller tolerance.",
             smallest_eigenvalue=float(values[worst, 0]),
         )
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]), below

@@ -43,7 +43,7 @@ def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFram
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("2-beam"), brs.load_turbulence("fu-2022")
     >>> records = brs.make_records(brs.simulate(scan, flow, wind_speed=10.0, n_records=8, seed=1), scan)
-    >>> table = brs.availability_table(records)
+    >>> table = availability_table(records)
     >>> table[["beam", "records", "usable", "samples", "availability"]].values.tolist()[:2]
     [[0.0, 6.0, 1.0, 3600.0, 1.0], [1.0, 6.0, 1.0, 3600.0, 1.0]]
     """

@@ -148,7 +148,7 @@ def _key_numbers(found: ReportData, scan: str) -> str:
     failed = int(np.count_nonzero(found.flag & FAILURES))
     remarked = int(np.count_nonzero(found.flag)) - failed
     outside = int(np.count_nonzero(found.flag & FLAGS["outside_noise"]))
-    without = int(np.count_nonzero(found.flag & FLAGS["no_usable_beam"]))  # gaps are most of them in a long campaign
+    without = int(np.count_nonzero(found.flag & FLAGS["no_usable_beam"]))  # gaps are most of them in a long fit
     entries = [
         ("Records", f"{len(found.record)}"),
         ("Fitted", f"{fitted}"),

@@ -94,7 +94,7 @@ def estimate_instrument_noise(
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
     >>> noise = 0.3 * np.random.default_rng(1).standard_normal(series.sizes["sample"])
     >>> noisy = series.assign(radial_velocity=series["radial_velocity"] + noise)
-    >>> spectra = brs.radial_spectra(noisy, scan, brs.make_records(noisy, scan))
+    >>> spectra = brs.spectra.radial_spectra(noisy, scan, brs.make_records(noisy, scan))
     >>> found = estimate_instrument_noise(spectra, scan, flow)
     >>> float(found["instrument_noise"].mean().round(2))  # 0.09 was added
     0.09
@@ -218,7 +218,7 @@ def _from_floor(spectra: xr.Dataset, scan: Scan, turbulence: MannTurbulence) -> 
         length_scale_prior=(turbulence.length_scale, 0.5),
         instrument_noise_sd=width,
         beams="each",
-        show_progress=False,
+        progress=False,
     )
     return fit["instrument_noise"].values, fit["instrument_noise_sd"].values
 

@@ -13,9 +13,10 @@ from fault_scenes import CALIBRATE, FIT, RECORDS, complaint, run
 from scenes import TURBULENCE, draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs import InputError, WeakPrior, load_scan
+from bayes_rs import InputError, load_scan
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_file, output_folder, write_csv, write_netcdf, write_run
+from bayes_rs.priors.ratio import WeakPrior
 
 SCAN = load_scan("2-beam")
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -66,15 +67,16 @@ class TestCommands:
         assert not list((tmp_path / "cache").glob("**/*.nc"))  # nor half of a cached noise
 
     def test_a_folder_of_results(self, tmp_path):
-        code, errors = run(*FIT, "-o", "out", folder=tmp_path, size=100_000)  # posterior.nc is larger
+        code, errors = run(*FIT, "-o", "out", folder=tmp_path, size=400_000)  # the part with the draws is larger
         assert code == 2, errors
         reason, note = complaint(errors)
         assert "File too large" in reason
-        assert "What was finished is kept in 'out.partial-" in note
-        assert not (tmp_path / "out").exists()
-        (kept,) = tmp_path.glob("out.partial-*")
-        with pytest.raises(InputError, match=r"it has no run\.json"):
-            brs.write_report(kept)
+        assert "are finished and kept in 'out': the same call with resume goes on from there" in note
+        with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
+            brs.write_report(tmp_path / "out")
+        code, errors = run(*FIT, "-o", "out", "--resume", folder=tmp_path)
+        assert code == 0, errors
+        assert brs.open_fit(tmp_path / "out").n_fitted == 6
 
     def test_a_cache_that_takes_nothing_stops_nobody(self, tmp_path):
         own = (
@@ -137,8 +139,8 @@ class TestWriters:
         """The writing of the second part fails; what was there goes on being read, and resuming ends it."""
         records, scan, noise = few_records(6)
         monkeypatch.setattr("bayes_rs.fits.plan.PART_RECORDS", 2)
-        options = {"noise": noise, "seed": 3, "target_ess": 100}
-        whole = brs.fit_campaign(records, scan, tmp_path / "whole", **options).summary()
+        options = {"noise": noise, "seed": 3, "target_ess": 100, "draws": "none"}
+        whole = brs.fit(records, scan, output=tmp_path / "whole", **options).summary()
         write, count = Path.write_bytes, iter(range(100))
 
         def writing(path, content):
@@ -152,18 +154,21 @@ class TestWriters:
         with monkeypatch.context() as patch:
             patch.setattr(Path, "write_bytes", writing)
             with pytest.raises(OSError, match="No space left on device") as caught:
-                brs.fit_campaign(records, scan, tmp_path / "out", **options)
+                brs.fit(records, scan, output=tmp_path / "out", **options)
         assert "2 of 6 records are finished and kept" in caught.value.__notes__[0]
-        part = brs.read_summary(tmp_path / "out")
+        with pytest.raises(InputError, match="has not ended"):
+            brs.open_fit(tmp_path / "out")
+        part = pd.read_parquet(tmp_path / "out" / "summary" / "month=2020-01")
         pd.testing.assert_frame_equal(part[part["record"] < 2], whole[whole["record"] < 2])
-        again = brs.fit_campaign(records, scan, tmp_path / "out", **options, resume=True)
-        assert again.n_resumed == 2
+        again = brs.fit(records, scan, output=tmp_path / "out", **options, resume=True)
+        assert again.run["n_resumed"] == 2
         pd.testing.assert_frame_equal(again.summary(), whole)
         assert not list((tmp_path / "out").glob("**/.half*"))
 
     def test_the_page(self, tmp_path, monkeypatch):
         records, scan, noise = few_records()
-        folder = brs.fit_campaign(records, scan, tmp_path / "fit", noise=noise, seed=3, target_ess=100).folder
+        folder = tmp_path / "fit"
+        brs.fit(records, scan, output=folder, noise=noise, seed=3, target_ess=100)
         page = brs.write_report(folder)
         before = page.read_bytes()
         FullDisk(monkeypatch, 1000)

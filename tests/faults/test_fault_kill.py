@@ -12,7 +12,7 @@ import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
 
 import bayes_rs as brs
-from bayes_rs import InputError
+from bayes_rs import InputError, folder_place
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 
@@ -66,16 +66,23 @@ class TestFiles:
 
 
 class TestFolders:
-    def test_a_fit_is_absent_or_whole(self, tmp_path):
+    def test_a_fit_that_has_not_ended_is_none_and_goes_on(self, tmp_path):
         process = start(*FIT, "-o", "out", folder=tmp_path)
-        while process.poll() is None and not list(tmp_path.glob("out.partial-*/posterior.nc")):
+        while process.poll() is None and not (tmp_path / "out" / "posterior.nc").exists():
             time.sleep(0.01)
         process.kill()
         process.communicate()
-        assert not (tmp_path / "out").exists()
-        (part,) = tmp_path.glob("out.partial-*")
-        with pytest.raises(InputError, match=r"it has no run\.json"):
-            brs.write_report(part)
+        with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
+            brs.write_report(tmp_path / "out")
+        assert run(*FIT, "-o", "out", "--resume", folder=tmp_path)[0] == 0
+        assert run(*FIT, "-o", "whole", folder=tmp_path)[0] == 0
+        one, other = (
+            {file.name: file.read_bytes() for file in place.rglob("*") if file.is_file()}
+            for place in (tmp_path / "out", tmp_path / "whole")
+        )
+        for name in one.keys() - {"run.json", "fingerprints.jsonl"}:
+            assert one[name] == other[name], name
+        assert one.keys() == other.keys()
 
     @pytest.mark.parametrize("n_kill", [1, pytest.param(20, marks=pytest.mark.long)])
     def test_a_long_fit_goes_on(self, tmp_path, n_kill):
@@ -86,7 +93,7 @@ class TestFolders:
         for name in ("summary", "posterior", "draws"):
             one, other = (pd.read_parquet(tmp_path / folder / name) for folder in ("whole", "out"))
             pd.testing.assert_frame_equal(one, other)
-        assert not list((tmp_path / "out").glob("**/.part*"))
+        assert not list((tmp_path / "out").glob("**/.half*"))
         assert brs.write_report(tmp_path / "out").is_file()
 
     @pytest.mark.long
@@ -107,9 +114,9 @@ class TestFolders:
             (folder / "posterior.nc").write_text("old")
         steps = iter(range(100))
 
-        def stopping(original):
+        def stopping(original, within):
             def stepping(path, *arguments, **options):
-                if Path(path).parent == tmp_path and next(steps) == number - 1:
+                if path.parent == within and next(steps) == number - 1:
                     os._exit(9)
                 return original(path, *arguments, **options)
 
@@ -118,7 +125,7 @@ class TestFolders:
         child = os.fork()
         if child == 0:
             monkeypatch.setattr(Path, "replace", stopping(Path.replace))
-            monkeypatch.setattr(shutil, "rmtree", stopping(shutil.rmtree))
+            monkeypatch.setattr(folder_place, "remove_ours", stopping(folder_place.remove_ours))
             with output_folder(final, overwrite=True) as folder:
                 write_run(folder, {"n": "new"})
                 (folder / "posterior.nc").write_text("new")

@@ -7,11 +7,12 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from scenes import plain_noise
+from scenes import plain_noise, records_of
 
-from bayes_rs import InputError, load_scan, read
+from bayes_rs import InputError, fit, load_scan, open_fit, read
 from bayes_rs.noise.file import load_noise
 from bayes_rs.records.record_files import open_records
+from bayes_rs.result_folder import seal_folder
 
 SCAN = load_scan("2-beam")
 LOADERS = [load_noise, lambda file: read(file, SCAN)]
@@ -66,11 +67,17 @@ def test_refused_at_once(tmp_path, write, load):
 
 
 @pytest.mark.parametrize("write", [huge, objects, around])
-def test_records_and_results(tmp_path, write):
-    write(tmp_path / "posterior.nc")
-    assert open_records(tmp_path / "posterior.nc", SCAN) is None
-    with pytest.raises(InputError, match=r"posterior\.nc"):
-        open_result(tmp_path)
+def test_records_and_fits(tmp_path, write):
+    write(tmp_path / "records.nc")
+    assert open_records(tmp_path / "records.nc", SCAN) is None
+    scan = load_scan("staring")
+    place = tmp_path / "out"
+    fit(records_of(np.ones((1, 1)), scan), scan, output=place, seed=1, noise=plain_noise(scan), target_ess=50)
+    (place / "records.nc").unlink()
+    write(place / "records.nc")
+    seal_folder(place)  # as if our own run had written it
+    with pytest.raises(InputError, match=r"records\.nc"):
+        _ = open_fit(place).records
 
 
 @pytest.mark.parametrize(

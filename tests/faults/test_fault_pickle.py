@@ -1,20 +1,18 @@
 """No pickle: nothing that is read can run code. Only worker processes of one run pass pickled jobs among themselves."""
 
 import ast
-import hashlib
-import json
-import pickle
 import zipfile
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from bayes_rs.report.folder import _draws_of_store
 
 import bayes_rs
+from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.models import models_folder
 from bayes_rs.records import record_store
+from bayes_rs.result_folder import open_result_folder, seal_folder
 
 PACKAGE = Path(bayes_rs.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -24,7 +22,7 @@ CALLS = {"read_pickle", "to_pickle", "eval", "exec", "compile", "literal_eval", 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_package(module):
-    """loky and Dask, in `campaigns.workers`, pickle what goes to the workers of a run, and read no file that way."""
+    """loky and Dask, in `fits.workers`, pickle what goes to the workers of a run, and read no file that way."""
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         names = []
         if isinstance(node, ast.Import):
@@ -67,8 +65,9 @@ def test_what_a_folder_fit_keeps_while_it_reads(tmp_path, monkeypatch):
     scan = bayes_rs.load_scan("staring")
     rows = [f"{np.datetime64('2020-01-01T00:00:00') + np.timedelta64(k, 's')},0,{k % 7}" for k in range(1500)]
     (tmp_path / "a.csv").write_text("time,beam,radial_velocity\n" + "\n".join(rows) + "\n")
-    record_store.store_records(tmp_path / "a.csv", scan, tmp_path / "kept")
-    with zipfile.ZipFile(tmp_path / "kept" / "state.npz") as archive:
+    with begin_result_folder(tmp_path / "kept", key="k", key_parts={}) as folder:
+        record_store.store_records(tmp_path / "a.csv", scan, folder)
+    with zipfile.ZipFile(tmp_path / "kept" / "records" / "state.npz") as archive:
         for name in archive.namelist():
             with archive.open(name) as part:
                 assert np.lib.format.read_array(part, allow_pickle=False).dtype.kind != "O"
@@ -80,30 +79,10 @@ def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
         def __reduce__(self):
             return (Path.touch, (tmp_path / "run",))
 
-    state = tmp_path / "state.npz"
-    np.savez(state, meta=np.array([Evil()], dtype=object))
-    content = state.read_bytes()
-    state.write_bytes(content + hashlib.sha256(content).hexdigest().encode())  # with a fingerprint that fits
+    (tmp_path / "records").mkdir()
+    np.savez(tmp_path / "records" / "state.npz", meta=np.array([Evil()], dtype=object))
+    seal_folder(tmp_path)  # with a fingerprint that fits
     said = []
-    assert record_store._load(tmp_path, "", said.append).files == {}
-    assert "its state cannot be read (ValueError: Object arrays cannot be loaded" in said[0]
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_zarr_store_with_a_pickle_is_refused(tmp_path):
-    """Version 2 of Zarr has a filter that unpickles: only version 3, which has none, is opened."""
-    pytest.importorskip("zarr")
-
-    class Evil:
-        def __reduce__(self):
-            return (Path.touch, (tmp_path / "run",))
-
-    store = tmp_path / "draws.zarr"
-    (store / "uu").mkdir(parents=True)
-    (store / ".zgroup").write_text('{"zarr_format": 2}')
-    array = {"zarr_format": 2, "shape": [1, 1], "chunks": [1, 1], "dtype": "|O", "compressor": None, "fill_value": None}
-    (store / "uu" / ".zarray").write_text(json.dumps({**array, "order": "C", "filters": [{"id": "pickle"}]}))
-    (store / "uu" / "0.0").write_bytes(pickle.dumps(Evil()))
-    with pytest.raises((OSError, ValueError)):
-        _draws_of_store(store, np.array([0]), 1)
+    assert record_store._load(open_result_folder(tmp_path), said.append).files == {}
+    assert "and all are read again: ValueError: Object arrays cannot be loaded" in said[0]
     assert not (tmp_path / "run").exists()

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import NotPositiveDefiniteError, WeakPrior, fit, load_scan, radial_variance
+from bayes_rs import NotPositiveDefiniteError, fit, load_scan
 from bayes_rs.fits.flags import FLAGS
-from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.forward import design_matrix, radial_variance
 from bayes_rs.noise.noise import Noise
+from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.priors.registry import FlatPrior
 
 SAMPLERS = ("emcee", "direct", "auto")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from bayes_rs.posteriors.posterior import Posterior
     from bayes_rs.posteriors.sampling.chains import Chains
+    from bayes_rs.posteriors.sampling.effort import Effort
     from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 SAMPLERS: Registry[Callable[..., Chains]] = Registry(
@@ -25,12 +26,10 @@ SAMPLERS: Registry[Callable[..., Chains]] = Registry(
         "auto": "bayes_rs.posteriors.sampling.auto:sample_auto",
     }
 )
-"""The samplers by name: (posterior, *, streams, seed, target_ess, max_extension) → Chains."""
+"""The samplers by name: (posterior, *, streams, effort) → Chains."""
 
 
-def sample(
-    name: str, posterior: Posterior, *, seed: int, keys: NDArray[np.int64], target_ess: int, max_extension: int
-) -> tuple[Chains, RecordStreams]:
+def sample(name: str, posterior: Posterior, *, keys: NDArray[np.int64], effort: Effort) -> tuple[Chains, RecordStreams]:
     """Sample records with the sampler of that name; also return their streams, for what is drawn after.
 
     Parameters
@@ -39,14 +38,10 @@ def sample(
         One of `SAMPLERS`.
     posterior : Posterior
         Posterior of n_record records.
-    seed : int
-        Seed of the fit.
     keys : ndarray of int, shape (n_record,)
         What makes each record's random stream its own.
-    target_ess : int
-        Bulk effective sample size to reach for every stress.
-    max_extension : int
-        How often a record's chain may be doubled.
+    effort : Effort
+        Seed of the fit, effective sample size to reach, and how often a record's chain may be doubled for it.
 
     Returns
     -------
@@ -57,6 +52,6 @@ def sample(
     """
     from bayes_rs.posteriors.sampling.streams import RecordStreams  # noqa: PLC0415 - the names alone are light
 
-    streams = RecordStreams(seed, keys)
-    made = SAMPLERS[name](posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
+    streams = RecordStreams(effort.seed, keys)
+    made = SAMPLERS[name](posterior, streams=streams, effort=effort)
     return made, streams

@@ -1,6 +1,6 @@
-"""Make the noise banks by theory that are shipped in models/noise, and print a table of their sizes and errors.
+"""Make the noise by theory that is shipped in models/noise, and print a table of sizes and errors.
 
-Usage: python benchmarks/make_noise_banks.py [NAME ...]
+Usage: python benchmarks/make_noise_nets.py [NAME ...]
 """
 
 import sys
@@ -25,23 +25,23 @@ YAWS_DEG = (-60.0, 60.0)
 
 
 def main(names: list[str]) -> None:
-    """Make the banks of the files that are named, or of all."""
+    """Make the nets of the files that are named, or of all."""
     turbulence = load_turbulence("fu-2022")
     print("| scan | beams | states | error of K between them | file, kB | seconds |\n|---|---|---|---|---|---|")
     for name in names or SCANS:
         start = time.perf_counter()
         scan = load_scan(SCANS[name])
-        bank = refined_noise(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
+        net = refined_noise(scan, turbulence, wind_speed=WIND_SPEEDS, yaw_deg=YAWS_DEG, cache=False)
         seconds = time.perf_counter() - start
-        error = measure_interpolation(bank, scan)  # with all beams, not some
+        error = measure_interpolation(net, scan)  # with all beams, not some
         stated = {"interpolation_error": error, "interpolation_error_beams": scan.n_beam}
-        kept = {key: value for key, value in bank.details.items() if key not in ("key", "origin")}
+        kept = {key: value for key, value in net.details.items() if key not in ("key", "origin")}
         file = models_folder("noise") / f"{name}{THEORY_SUFFIX}.nc"
-        replace(bank, details={**kept, **stated}).save(file, overwrite=True, single_precision=True)
+        replace(net, details={**kept, **stated}).save(file, overwrite=True, single_precision=True)
         load_noise(file).check_scan(scan)
         size = file.stat().st_size / 1000.0
         print(
-            f"| {name} | {scan.n_beam} | {len(bank)} | {100.0 * error:.2f} % | {size:.0f} | {seconds:.1f} |",
+            f"| {name} | {scan.n_beam} | {len(net)} | {100.0 * error:.2f} % | {size:.0f} | {seconds:.1f} |",
             flush=True,
         )
 

@@ -1,4 +1,4 @@
-"""A year of records whose fit is interrupted: python benchmarks/campaign_year.py FOLDER [--records 52560].
+"""A year of records whose fit is interrupted: python benchmarks/interrupted_year.py FOLDER [--records 52560].
 
 The records are those of benchmarks/year.py. One run goes through. Another has a worker killed and is killed itself, has
 a worker killed and is interrupted, and is resumed each time. Printed are the seconds of each, and whether the tables
@@ -13,11 +13,9 @@ import sys
 import time
 from pathlib import Path
 
-from year import make_year
+from year import make_year, shipped_noise
 
 import bayes_rs as brs
-from bayes_rs.fits.tables import part_files
-from bayes_rs.noise.store import find_shipped_noise
 
 
 def main() -> None:
@@ -52,11 +50,16 @@ def main() -> None:
 def fit(output: Path, n_record: int) -> None:
     """Fit the year with two workers, or what is left of it."""
     scan = brs.load_scan("6-beam")
-    noise = find_shipped_noise(scan, brs.load_turbulence("fu-2022"), duration=600.0, method="theory")
+    noise = shipped_noise(scan)
     if noise is None:
-        sys.exit("No noise bank is shipped for the scan.")
+        sys.exit("No noise is shipped for the scan.")
     records = make_year(scan, noise, n_record)
-    brs.fit_campaign(records, scan, output, noise=noise, seed=1, workers=2, resume=True)
+    brs.fit(records, scan, seed=1, noise=noise, output=output, workers=2, sampler="auto", resume=True)
+
+
+def part_files(folder: Path, dataset: str) -> list[Path]:
+    """Return the files of a table in a folder of results, in the order of the records."""
+    return sorted((folder / dataset).rglob("part-*.parquet"), key=lambda file: (file.name, file.parent.name))
 
 
 def command(arguments: argparse.Namespace, name: str) -> list[str]:

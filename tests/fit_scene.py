@@ -1,4 +1,4 @@
-"""A small campaign for tests, and for the processes that tests start, interrupt and kill."""
+"""A small fit for tests, and for the processes that tests start, interrupt and kill."""
 
 import os
 import signal
@@ -8,18 +8,22 @@ from pathlib import Path
 import numpy as np
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import NotPositiveDefiniteError, WeakPrior, load_scan
-from bayes_rs.fits import campaign
-from bayes_rs.fits import parts as campaign_parts
-from bayes_rs.fits import plan as campaign_plan
+from bayes_rs import NotPositiveDefiniteError, fit, load_scan
+from bayes_rs.fits import parts, plan
+from bayes_rs.priors import WeakPrior
 
 SCAN = load_scan("6-beam")
 NOISE = plain_noise(SCAN)
 N_RECORD = 23
 PART = 5
 EMPTY_PART = slice(10, 15)
-FIT_PART = campaign.fit_part
-OPTIONS = {"noise": NOISE, "seed": 3, "target_ess": 200}
+FIT_PART = parts.fit_part
+OPTIONS = {"noise": NOISE, "seed": 3, "target_ess": 200, "sampler": "auto"}
+
+
+def fit_to(records, scan, folder, **options):
+    """Fit into a folder, as a long fit does: without draws."""
+    return fit(records, scan, output=folder, **{"draws": "none", **options})
 
 
 def make_records(n_record=N_RECORD):
@@ -70,7 +74,7 @@ def fit_part_and_die_once(shared, part):
 def singular(records, numbers):
     """Return a `fit_batch` that fails for batches with one of these records."""
     keys = records["time"].values[numbers].astype(np.int64)
-    fit_batch = campaign_parts.fit_batch
+    fit_batch = parts.fit_batch
 
     def fitting(batch, *arguments, **options):
         if np.isin(batch.key, keys).any():
@@ -85,7 +89,7 @@ def set_variable(name, value):
 
 
 if __name__ == "__main__":
-    campaign_plan.PART_RECORDS = PART
+    plan.PART_RECORDS = PART
     folder, workers, number, draws = sys.argv[1:5]
     die_at_write(int(number), half_written=True)
-    campaign.fit_campaign(make_records(), SCAN, folder, workers=int(workers), draws=draws, **OPTIONS)
+    fit_to(make_records(), SCAN, folder, workers=int(workers), draws=draws, **OPTIONS)

@@ -1,10 +1,11 @@
-"""A folder of files to a folder of results: the same numbers whatever the chunks, interruptions and bad files."""
+"""Files to a folder of results: the same numbers whatever the chunks, interruptions and bad files."""
 
 import gzip
 import json
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import distributed
@@ -12,15 +13,28 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from bayes_rs.fits.long_job import run_long_fit
-from folder_scene import DURATION, N_RECORD, RECORDING, SCAN, make_series, run, write_file, write_files, write_noise
+from folder_scene import (
+    DURATION,
+    FITTING,
+    N_RECORD,
+    RECORDING,
+    SCAN,
+    make_series,
+    run,
+    write_file,
+    write_files,
+    write_noise,
+)
 
-from bayes_rs import InputError, MissingExtraError, make_records, read, read_summary
-from bayes_rs.fits import plan as campaign_plan
-from bayes_rs.fits import record_store, tables
+from bayes_rs import InputError, MissingExtraError, fit, make_records, open_fit, read
+from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.file_options import FileOptions
+from bayes_rs.fits import from_files, plan
+from bayes_rs.fits.tables import part_names
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
-from bayes_rs.records.record_store import store_records
+from bayes_rs.records import record_store
+from bayes_rs.result_folder import open_result_folder
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
@@ -29,7 +43,7 @@ N_FILE = 5
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(campaign_plan, "PART_RECORDS", 128)
+    monkeypatch.setattr(plan, "PART_RECORDS", 128)
     monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
 
 
@@ -62,11 +76,16 @@ def whole(files, noise, tmp_path_factory):
 
 def same(one, other):
     """Check that two runs have the same tables and records, bit by bit."""
-    pd.testing.assert_frame_equal(read_summary(one), read_summary(other), check_exact=True)
+    pd.testing.assert_frame_equal(open_fit(one).summary(), open_fit(other).summary(), check_exact=True)
     for name in ("summary", "posterior"):
-        for file in tables.part_files(one, name):
-            assert file.read_bytes() == (other / file.relative_to(one)).read_bytes()
+        for file in part_names(open_result_folder(one), name):
+            assert (one / file).read_bytes() == (other / file).read_bytes()
     xr.testing.assert_identical(*(xr.load_dataset(of / "records.nc", engine="h5netcdf") for of in (one, other)))
+
+
+def read_in_chunks(monkeypatch, n_row):
+    """Let `fit_files` read so many rows of a file at a time."""
+    monkeypatch.setattr(from_files, "store_records", partial(record_store.store_records, chunk_rows=n_row))
 
 
 def run_that_stops(files, output, noise, *, number, sent):
@@ -75,7 +94,7 @@ def run_that_stops(files, output, noise, *, number, sent):
 
 
 class TestNumbers:
-    def test_they_are_those_of_the_whole_series(self, files, noise, whole, tmp_path):
+    def test_they_are_those_of_the_whole_series(self, files, noise, whole):
         series = read(sorted(files.iterdir()), SCAN)
         records = make_records(series, SCAN, **RECORDING)
         found = xr.load_dataset(whole / "records.nc", engine="h5netcdf")
@@ -84,27 +103,31 @@ class TestNumbers:
         assert found.sizes["record"] == N_RECORD
         for name in ("records_report", "read_report"):
             assert json.loads(found.attrs[name]) == json.loads(records.attrs[name]), name
-        outcome = run_long_fit(records, SCAN, tmp_path / "out", noise_file=noise, target_ess=100, seed=3)
-        pd.testing.assert_frame_equal(outcome.campaign.summary(), read_summary(whole), check_exact=True)
+        in_memory = fit(records, SCAN, noise=noise, **FITTING)
+        pd.testing.assert_frame_equal(in_memory.summary(), open_fit(whole).summary(), check_exact=True)
 
     @pytest.mark.parametrize(("chunk_rows", "workers"), [(37, 1), (500, 2)])
-    def test_they_do_not_depend_on_chunks_and_workers(self, files, noise, whole, tmp_path, chunk_rows, workers):
-        run(files, tmp_path / "out", noise, chunk_rows=chunk_rows, workers=workers)
+    def test_they_do_not_depend_on_chunks_and_workers(
+        self, files, noise, whole, tmp_path, monkeypatch, chunk_rows, workers
+    ):
+        read_in_chunks(monkeypatch, chunk_rows)
+        run(files, tmp_path / "out", noise, workers=workers)
         same(tmp_path / "out", whole)
 
-    def test_files_that_overlap_are_read_side_by_side(self, series, noise, whole, tmp_path):
+    def test_files_that_overlap_are_read_side_by_side(self, series, noise, whole, tmp_path, monkeypatch):
+        read_in_chunks(monkeypatch, 100)
         for beam in (0, 1):
             write_files(tmp_path / f"beam-{beam}", series.isel(sample=series["beam"].values == beam), 2)
-        outcome = run([tmp_path / "beam-0", tmp_path / "beam-1"], tmp_path / "out", noise, chunk_rows=100)
-        assert outcome.bad_files == {}
-        pd.testing.assert_frame_equal(read_summary(tmp_path / "out"), read_summary(whole), check_exact=True)
+        found = run([tmp_path / "beam-0", tmp_path / "beam-1"], tmp_path / "out", noise)
+        assert found.run["bad_files"] == {}
+        pd.testing.assert_frame_equal(open_fit(tmp_path / "out").summary(), open_fit(whole).summary(), check_exact=True)
 
     def test_what_was_read_is_counted(self, series, whole):
         run = json.loads((whole / "run.json").read_text())
         assert run["n_file"] == N_FILE
         assert run["read_counts"]["samples"] == series.sizes["sample"]
         assert (run["bad_files"], run["finished"]) == ({}, True)
-        assert set(run["seconds"]) == {"records", "noise", "sampling"}
+        assert set(run["seconds"]) == {"fitting"}
 
 
 class TestInterruptions:
@@ -159,9 +182,10 @@ class TestInterruptions:
         for other, what in (
             ({"seed": 4}, "seed"),
             ({"prob": 0.5}, "prob"),
-            ({"lateness": 1.0}, "lateness"),
-            ({"reading": {"positive": "towards"}}, "reading options"),
-            ({"turbulence": "stable-land", "prior": "flat", "seed": 5}, "turbulence, prior and seed"),
+            ({"duration": 30.0}, "record options"),
+            ({"frozen_run": 7}, "quality rules"),
+            ({"positive": "towards"}, "reading options"),
+            ({"target": "ensemble", "prior": "flat", "seed": 5}, "seed, prior and target"),
         ):
             with pytest.raises(InputError, match=f"is of a run that differs in {what}, so it cannot be resumed"):
                 run(files, whole, noise, resume=True, **other)
@@ -252,20 +276,18 @@ class TestBadFiles:
         [garble, cut_short, lambda file: file.write_bytes(b""), lambda file: file.write_bytes(bytes(range(256)) * 9)],
         ids=["garbled", "cut short", "empty", "bytes"],
     )
-    def test_they_are_named_at_the_end_and_stop_nothing(self, files, noise, tmp_path, spoil):
+    def test_they_are_named_at_the_end_and_stop_nothing(self, files, noise, tmp_path, monkeypatch, spoil):
         folder = tmp_path / "year"
         folder.mkdir()
         for file in files.iterdir():
             (folder / file.name).write_bytes(file.read_bytes())
         spoil(folder / "7-day.csv")
-        outcomes = [run(folder, tmp_path / f"{rows}", noise, chunk_rows=rows) for rows in (50, 100_000)]
-        for outcome in outcomes:
-            ((name, reason),) = outcome.bad_files.items()
+        for rows in (50, 100_000):
+            read_in_chunks(monkeypatch, rows)
+            ((name, reason),) = run(folder, tmp_path / f"{rows}", noise).run["bad_files"].items()
             assert "7-day.csv" in name
             assert reason
-            assert outcome.failures[0] == f"file {name}: {reason}"
-            said = json.loads((outcome.campaign.folder / "run.json").read_text())["bad_files"]
-            assert said == outcome.bad_files
+            assert json.loads((tmp_path / f"{rows}" / "run.json").read_text())["bad_files"] == {name: reason}
         same(tmp_path / "50", tmp_path / "100000")
         good = sorted(file for file in files.iterdir() if file.name != "7-day.csv")
         run(good, tmp_path / "good", noise)
@@ -284,7 +306,9 @@ class TestBadFiles:
         for beam in (0, 1):
             write_file(tmp_path / f"{beam}.csv", series.isel(sample=series["beam"].values == beam))
         garble(tmp_path / "1.csv")
-        found = store_records(tmp_path, SCAN, tmp_path / "store", chunk_rows=100, duration=DURATION)
+        skip = FileOptions(on_bad_file="skip")
+        with begin_result_folder(tmp_path / "store", key="k", key_parts={}) as folder:
+            found = record_store.store_records(tmp_path, SCAN, folder, reading=skip, chunk_rows=100, duration=DURATION)
         assert [Path(name).name for name in found.bad_files] == ["1.csv"]
         assert found.records["beam"].values.tolist() == [0]
 
@@ -293,8 +317,9 @@ class TestBadFiles:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(record_store, "stream", full)
-        with pytest.raises(OSError, match="No space left"):
-            store_records(files, SCAN, tmp_path / "store", duration=DURATION)
+        store = begin_result_folder(tmp_path / "store", key="k", key_parts={})
+        with pytest.raises(OSError, match="No space left"), store as folder:
+            record_store.store_records(files, SCAN, folder, duration=DURATION)
 
 
 class TestLateSamples:
@@ -309,10 +334,7 @@ class TestLateSamples:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(record_store, "stream", lambda *_args, **_options: iter(chunks))
             write_file(tmp_path / "year" / "a.csv", shuffled)
-            outcome = run(tmp_path / "year", tmp_path / "out", noise)
-        assert outcome.failures[0].startswith(
-            "20 samples came after their record was closed and are not in it, the fir"
-        )
+            run(tmp_path / "year", tmp_path / "out", noise)
         assert json.loads((tmp_path / "out" / "run.json").read_text())["samples_late"] == 20
 
 
