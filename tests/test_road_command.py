@@ -603,7 +603,7 @@ class TestOtherCommands:
             ("begin_result_folder", ("--overwrite",), "overwrite", True),
             ("add_motion", ("--motion", "there.csv"), "options", RecordOptions(motion=("there.csv",))),
             ("add_motion", ("--separator", ";"), "files", InputOptions(files=("day.csv",), separator=";")),
-            ("noise_and_records", ("--noise-method", "boxes"), "choice", NoiseOptions(noise_method="boxes")),
+            ("noise_and_records", ("--turbulence", "iec-a"), "choice", NoiseOptions(turbulence="iec-a")),
         ],
     )
     def test_how_fit_does_its_work(self, function, words, name, value, handed, scene, tmp_path, monkeypatch):
