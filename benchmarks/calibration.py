@@ -24,6 +24,7 @@ import bayes_rs as brs
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.simulation.lines import LineMaker
 from bayes_rs.simulation.virtual import RecordState
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
@@ -77,7 +78,7 @@ def simulated_deviations(
 ) -> np.ndarray:
     """Return y/E[y] of records of the line simulator, shape (n_record, n_beam)."""
     state = RecordState(scan, WIND_SPEED, scan.yaw, noise.duration)
-    maker = brs.LineMaker(scan, flow, wind_speed=WIND_SPEED, n_sample=state.n_sample, yaw=scan.yaw)
+    maker = LineMaker(scan, flow, wind_speed=WIND_SPEED, n_sample=state.n_sample, yaw=scan.yaw)
     rng = np.random.default_rng(seed)
     parts = [maker.make(min(100, n_record - done), rng).var(axis=-1) for done in range(0, n_record, 100)]
     expected = (1.0 + noise.bias[0]) * (noise.gain[0] @ flow.stresses())

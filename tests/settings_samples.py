@@ -88,7 +88,6 @@ SAMPLES = {
     "noise": {
         "noise": one("--noise", "/data/noise.nc"),
         "turbulence": one("--turbulence", "iec-a"),
-        "noise_method": one("--noise-method", "boxes"),
     },
     "fit": {
         "seed": one("--seed", 7),

@@ -197,3 +197,16 @@ class TestFit:
         done = run("fit", file, *ANGLE, "--instrument-noise", "much", "-o", tmp_path / "out")
         assert done.exit_code == 2
         assert "'much' must be a number, m² s⁻², or the word records." in done.output
+
+
+def test_motion_is_written_as_the_velocities_are(file, series, tmp_path):
+    """A logger writes all its files with the same separator and decimal sign."""
+    ours, motion = tmp_path / "ours.csv", tmp_path / "motion.csv"
+    pd.read_csv(file).to_csv(ours, index=False, sep=";", decimal=",")
+    time = np.unique(series["time"].values)[::60]
+    pd.DataFrame({"time": time, "tilt_deg": 1.5}).to_csv(motion, index=False, sep=";", decimal=",")
+    columns = ("--motion-column", "time=time", "--motion-column", "tilt_deg=tilt_deg")
+    written = ("--separator", ";", "--decimal", ",", *columns)
+    done = run("records", ours, *ANGLE, *written, "--motion", motion, "-o", tmp_path / "records.nc")
+    assert done.exit_code == 0, done.output
+    np.testing.assert_allclose(xr.load_dataset(tmp_path / "records.nc")["tilt"], 1.5, rtol=1e-12)

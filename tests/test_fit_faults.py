@@ -195,7 +195,7 @@ class TestMissing:
             f"Output folder {str(place)!r} is not finished: 1 file that this run wrote cannot be used ({part} is "
             "missing); resume to make them again."
         )
-        with pytest.raises(LostResultsError, match=f"^{re.escape(words)}$"):
+        with pytest.raises(LostResultsError, match=f"^{re.escape(words)}"):
             run(output=place)
         assert json.loads((place / "run.json").read_text())["finished"] is False
         with pytest.raises(InputError, match="has not ended"):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import bayes_rs as brs
 from bayes_rs.errors import InputError
+from bayes_rs.fits.flags import flag_words
 from bayes_rs.quality import BeamSamples, apply_filters, find_periodicity, in_sectors
 from bayes_rs.quality.frozen import is_frozen
 from bayes_rs.quality.stationarity import (
@@ -535,12 +536,12 @@ class TestRemarks:
         records = make_records(series, scan, quality=rules)
         noise = brs.noise.calibrate(scan, flow, wind_speed=10.0)
         result = brs.fit(records, scan, noise=noise, seed=1, sampler="direct", target_ess=100)
-        words = [brs.flag_words(flag) for flag in result["sample_stats/flag"].values]
+        words = [flag_words(flag) for flag in result["sample_stats/flag"].values]
         assert words == ["not_stationary"] * 3
         assert np.isfinite(result["posterior/stress"]).all()
         out = make_records(series, scan, quality=brs.QualityRules(min_wind_speed=20.0, exclude=["low_wind"]))
         flags = brs.fit(out, scan, noise=noise, seed=1)["sample_stats/flag"].values
-        assert [brs.flag_words(flag) for flag in flags] == ["low_wind;excluded"] * 3
+        assert [flag_words(flag) for flag in flags] == ["low_wind;excluded"] * 3
 
     def test_few_samples_a_part(self):
         """Twenty samples a record, as of a slow scan: the checks know or say nothing, and raise no warning."""
@@ -585,7 +586,7 @@ class TestAvailabilityTable:
         beam, number = np.tile(BEAMS, 4800), np.repeat(np.arange(4800), 3) // 600
         velocity[(beam == 1) & (number < 3) & (np.arange(14400) % 1800 >= 300)] = np.nan  # 100 of 600 are left
         records = make_records(series_of(velocity), SCAN)
-        table = brs.availability_table(records)
+        table = brs.records.availability_table(records)
         assert table.columns.tolist() == ["time", "beam", "records", "usable", "samples", "availability"]
         assert (
             table["time"].tolist() == [np.datetime64("2020-09-03T19:00")] * 3 + [np.datetime64("2020-09-03T20:00")] * 3
@@ -599,23 +600,23 @@ class TestAvailabilityTable:
     def test_adds_up_to_the_records(self):
         series, rules, _ = FAULTS["cnr"]
         records = make_records(series, SCAN, quality=brs.QualityRules(**rules))
-        day = brs.availability_table(records, every="1D")
+        day = brs.records.availability_table(records, every="1D")
         assert day["samples"].tolist() == records["count"].values.sum(axis=0).tolist()
         assert day["time"].tolist() == [np.datetime64("2020-09-03")] * 3
 
     @pytest.mark.parametrize("every", ["hourly", "-1h", "0s"])
     def test_a_step_that_is_none(self, every):
         with pytest.raises(InputError, match=rf"Invalid every '{every}': it must be"):
-            brs.availability_table(make_records(series_of(sound()), SCAN), every=every)
+            brs.records.availability_table(make_records(series_of(sound()), SCAN), every=every)
 
     def test_records_of_another_kind(self):
         records = make_records(series_of(sound()), SCAN)
         with pytest.raises(InputError, match="The records have no count with dims"):
-            brs.availability_table(records.drop_vars("count"))
+            brs.records.availability_table(records.drop_vars("count"))
         with pytest.raises(InputError, match="The records have no time: make them"):
-            brs.availability_table(records.drop_vars("time"))
+            brs.records.availability_table(records.drop_vars("time"))
         with pytest.raises(InputError, match="The records have no records_report"):
-            brs.availability_table(records.drop_attrs())
+            brs.records.availability_table(records.drop_attrs())
 
 
 class TestBadInput:

@@ -357,7 +357,8 @@ class TestSections:
         text = page_of(tmp_path / "out")
         row = re.search(r'<tr><th scope="row">outside_noise</th>(.*?)</tr>', text)
         cells = re.findall(r"<td[^>]*>(.*?)</td>", row.group(1))
-        assert cells == [escape(FLAG_MEANINGS["outside_noise"]), "remark", "2020-01-01 00:00", "3", "100.0 %"]
+        starts = "2020-01-01 00:00, 2020-01-01 00:10, 2020-01-01 00:20"
+        assert cells == [escape(FLAG_MEANINGS["outside_noise"]), "remark", starts, "3", "100.0 %"]
 
 
 class TestPage:

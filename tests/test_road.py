@@ -181,7 +181,7 @@ class TestNoise:
     def test_the_settings_say_how_it_was_made(self, records, tmp_path):
         brs.fit(records, "2-beam", turbulence="stable-onshore", output=tmp_path / "out", **SMALL)
         noise = brs.open_fit(tmp_path / "out").settings["noise"]
-        assert (noise["turbulence"], noise["noise_method"], noise["noise"]) == ("stable-onshore", "theory", None)
+        assert (noise["turbulence"], noise["noise"]) == ("stable-onshore", None)
 
     @pytest.mark.parametrize("name", ["6-beam", "50-beam"])
     def test_noise_of_another_wind_is_flagged_and_counted(self, tmp_path, name):

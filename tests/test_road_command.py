@@ -1,23 +1,28 @@
 """Every option arrives: from the command line in the settings, in the fit, in `run.json` and in a settings file."""
 
+import importlib
 import inspect
 import json
 import subprocess
 import sys
 
 import click
+import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
+from scenes import draw_variances, plain_noise, records_of
 from settings_samples import EVERY, SAMPLES, changed, entry_of, value_of, words_of_needs
 
 import bayes_rs as brs
 from bayes_rs.cli import commands, fit_commands
 from bayes_rs.cli.options import FieldOption, refuse_given
+from bayes_rs.fits.fit_options import NoiseOptions
 from bayes_rs.fits.fitting import split_options
-from bayes_rs.fits.settings import SECTIONS, Settings
+from bayes_rs.fits.settings import SECTIONS, InputOptions, Settings
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
 from bayes_rs.options import options_of
 from bayes_rs.records.record_files import open_record_files
+from bayes_rs.records.record_options import RecordOptions
 
 ON_THE_COMMAND_LINE = [(section, name) for section, name in EVERY if entry_of(section, name).flag]
 """The others are for settings files and Python."""
@@ -350,7 +355,7 @@ class TestNoEffect:
     """An option that would do nothing is refused, not dropped."""
 
     @pytest.mark.parametrize("command", ["fit", "sensitivity"])
-    @pytest.mark.parametrize("option", [("--turbulence", "iec-a"), ("--noise-method", "theory")])
+    @pytest.mark.parametrize("option", [("--turbulence", "iec-a")])
     def test_how_noise_is_made_beside_a_noise_file(self, command, option, bayes_rs, scene, tmp_path):
         words = ("--scan", scene / "mine.toml", "--tilt", 2, "--noise", scene / "noise.nc", *option)
         code, _, err = bayes_rs(command, scene / "records.nc", *words, "-o", tmp_path / "out")
@@ -386,7 +391,7 @@ class TestNoEffect:
         words = ("2-beam", "--wind-speed", 10, "--boxes", 5, "-o", tmp_path / "n.nc")
         code, _, err = bayes_rs("calibrate", *words)
         assert code == 2
-        assert "--boxes: it is of boxes, and the noise is made by theory: add --noise-method boxes." in err[-1]
+        assert "--boxes: it is of boxes, and the noise is made by theory: add --method boxes." in err[-1]
 
     def test_nothing_is_refused_that_is_not_given(self):
         @click.command()
@@ -443,3 +448,205 @@ def test_results_that_are_gone_are_no_bad_input(bayes_rs, monkeypatch, tmp_path)
     code, out, err = bayes_rs("fit", "day.csv", "--scan", "2-beam", "-o", tmp_path / "out")
     assert (code, out) == (1, [])
     assert err == ["bayes-rs: Results are gone: summary/part-0 is not there."]
+
+
+class Handed(Exception):  # noqa: N818 - it carries a call, and is no error
+    """What a command handed to the function that does its work."""
+
+
+@pytest.fixture
+def handed(monkeypatch, scene):
+    """Run a command line up to the function that does the work; return the function's arguments by name."""
+
+    def run(function, command, *words):
+        module, _, name = function.partition(":")
+        signature = inspect.signature(getattr(importlib.import_module(module), name))
+
+        def take(*args, **options):
+            raise Handed(signature.bind(*args, **options).arguments)
+
+        monkeypatch.setattr(f"{module}.{name}", take)
+        with pytest.raises(Handed) as caught:
+            commands.main([command, *map(str, words)], standalone_mode=False)
+        found = caught.value.args[0]
+        more = found.pop("options") if isinstance(found.get("options"), dict) else {}
+        return {**found, **more}
+
+    run.mine = (scene / "day.csv", "--scan", scene / "mine.toml", "--tilt", 2)
+    return run
+
+
+class TestOtherCommands:
+    """Each option of the commands beside `fit` reaches the function that does the work."""
+
+    @pytest.mark.parametrize(
+        ("words", "name", "value"),
+        [
+            (("--length-scale-prior", 80, 0.5), "length_scale_prior", (80.0, 0.5)),
+            (("--instrument-noise", 0.1), "instrument_noise", 0.1),
+            (("--instrument-noise-sd", 0.05), "instrument_noise_sd", 0.05),
+            (("--tapers", 3), "tapers", 3),
+            (("--one-length-scale",), "one_length_scale", True),
+            (("--turbulence", "iec-a"), "turbulence", "iec-a"),
+            (("--overwrite",), "overwrite", True),
+        ],
+    )
+    def test_spectra(self, words, name, value, handed, tmp_path):
+        found = handed(
+            "bayes_rs.spectra.spectra_job:run_spectra", "spectra", *handed.mine, *words, "-o", tmp_path / "s"
+        )
+        assert found[name] == value
+        assert found["scan"].tilt == pytest.approx(np.deg2rad(2.0))
+        assert found["source_files"] == ["day.csv"]
+
+    @pytest.mark.parametrize(
+        ("words", "name", "value"),
+        [
+            (("--wind-speed", 8, "--wind-speed", 12), "wind_speed", [8.0, 12.0]),
+            (("--wind-speed", 8, "--noise-yaw", 10), "yaw_deg", [10.0]),
+            (("--wind-speed", 8, "--duration", 300), "duration", 300.0),
+            (("--wind-speed", 8, "--turbulence", "iec-b"), "turbulence", "iec-b"),
+            (("--wind-speed", 8, "--sonic"), "sonic", True),
+            (("--wind-speed", 8), "method", "theory"),
+            (
+                ("--wind-speed", 8, "--noise-method", "boxes", "--boxes", 7, "--seed", 9),
+                "method",
+                brs.noise.Boxes(n_boxes=7, seed=9),
+            ),
+        ],
+    )
+    def test_calibrate(self, words, name, value, handed, tmp_path):
+        found = handed(
+            "bayes_rs.noise.calibrating:calibrate", "calibrate", "6-beam", "--yaw", 5, *words, "-o", tmp_path / "n.nc"
+        )
+        assert found[name] == value
+        assert found["scan"].yaw == pytest.approx(np.deg2rad(5.0))
+
+    def test_plan(self, handed):
+        words = ("6-beam", "--opening-angle", 40, "--turbulence", "iec-b", "--wind-speed", 7, "--duration", 300)
+        found = handed("bayes_rs.design.planning:plan", "plan", *words, "--prior", "flat", "--ess", 50)
+        assert found["scan"].key == brs.load_scan("6-beam", opening_angle_deg=40.0).key
+        assert found["turbulence"] == brs.load_turbulence("iec-b")
+        wanted = {"wind_speed": 7.0, "duration": 300.0, "prior": "flat", "target_ess": 50}
+        assert {name: found[name] for name in wanted} == wanted
+
+    @pytest.mark.parametrize(
+        ("section", "name"),
+        [
+            (section, name)
+            for section, name in ON_THE_COMMAND_LINE
+            if section in ("fit", "nuisances", "noise") and name not in ("derived", "draws")
+        ],
+    )
+    def test_sensitivity(self, section, name, handed):
+        sample = SAMPLES[section][name]
+        words = (*words_of_needs(sample.needs), *sample.words, "--factor", 3)
+        found = handed("bayes_rs.fits.prior_check:prior_sensitivity", "sensitivity", *handed.mine, *words)
+        assert (getattr(found["nuisances"], name) if section == "nuisances" else found[name]) == sample.value
+        assert found["factors"] == (3.0,)
+
+    def test_wind(self, handed, tmp_path):
+        words = (*handed.mine, "--heading", 350, "--turbulence", "iec-b", "--hub-height", 80, "-o", tmp_path / "w.csv")
+        found = handed("bayes_rs.wind.mean_vector:mean_wind", "wind", *words)
+        assert (found["heading_deg"], found["turbulence"]) == (350.0, brs.load_turbulence("iec-b"))
+
+    def test_the_profile_of_wind(self, handed, tmp_path):
+        words = (*handed.mine, "--law", "log", "--turbulence", "iec-b", "--hub-height", 80, "-o", tmp_path / "w.csv")
+        found = handed("bayes_rs.wind.profile:wind_profile", "wind", *words)
+        wanted = {"hub_height": 80.0, "law": "log", "turbulence": brs.load_turbulence("iec-b")}
+        assert {name: found[name] for name in wanted} == wanted
+
+    @pytest.mark.parametrize(
+        ("section", "name"), [(section, name) for section, name in ON_THE_COMMAND_LINE if section == "files"]
+    )
+    def test_how_files_are_read(self, section, name, handed, tmp_path):
+        sample = SAMPLES[section][name]
+        found = handed("bayes_rs.readers.reading:read", "records", *handed.mine, *sample.words, "-o", tmp_path / "r.nc")
+        assert found.get(name, "error" if name == "on_bad_file" else None) == sample.value
+
+    @pytest.mark.parametrize(
+        ("section", "name"),
+        [
+            (section, name)
+            for section, name in ON_THE_COMMAND_LINE
+            if section in ("records", "quality") and not name.startswith("motion")
+        ],
+    )
+    def test_rules_of_records(self, section, name, handed, tmp_path):
+        sample = SAMPLES[section][name]
+        found = handed(
+            "bayes_rs.records.making:make_records", "records", *handed.mine, *sample.words, "-o", tmp_path / "r.nc"
+        )
+        assert (getattr(found["quality"], name) if section == "quality" else found[name]) == sample.value
+
+    @pytest.mark.parametrize(
+        ("section", "name"),
+        [
+            (section, name)
+            for section, name in ON_THE_COMMAND_LINE
+            if section in ("files", "records", "quality") and not name.startswith("motion")
+        ],
+    )
+    def test_how_fit_makes_records(self, section, name, handed, tmp_path):
+        sample = SAMPLES[section][name]
+        words = (*handed.mine, *words_of_needs(sample.needs), *sample.words, "-o", tmp_path / "out")
+        found = handed("bayes_rs.fits.from_files:store_records", "fit", *words)
+        place = {"files": found["reading"], "quality": found["quality"]}.get(section)
+        assert (found[name] if place is None else getattr(place, name)) == sample.value
+
+    @pytest.mark.parametrize(
+        ("function", "words", "name", "value"),
+        [
+            ("fit_into", ("--workers", 2), "workers", 2),
+            ("fit_into", ("--scheduler", "tcp://10.0.0.1:8786"), "client", "tcp://10.0.0.1:8786"),
+            ("begin_result_folder", ("--resume",), "resume", True),
+            ("begin_result_folder", ("--overwrite",), "overwrite", True),
+            ("add_motion", ("--motion", "there.csv"), "options", RecordOptions(motion=("there.csv",))),
+            ("add_motion", ("--separator", ";"), "files", InputOptions(files=("day.csv",), separator=";")),
+            ("noise_and_records", ("--turbulence", "iec-a"), "choice", NoiseOptions(turbulence="iec-a")),
+        ],
+    )
+    def test_how_fit_does_its_work(self, function, words, name, value, handed, scene, tmp_path, monkeypatch):
+        monkeypatch.chdir(scene)
+        if ";" in words:
+            (scene / "day.csv").rename(scene / "kept.csv")
+            (scene / "day.csv").write_text((scene / "kept.csv").read_text().replace(",", ";"))
+        given = ("--noise", "noise.nc") if function == "fit_into" else ()
+        try:
+            found = handed(
+                f"bayes_rs.fits.from_files:{function}", "fit", "day.csv", *MINE, *given, *words, "-o", tmp_path / "out"
+            )
+        finally:
+            if ";" in words:
+                (scene / "kept.csv").replace(scene / "day.csv")
+        assert found[name] == value
+        if given:
+            assert found["noise"].scan_name == "2-beam"
+
+
+@pytest.fixture(scope="module", params=["6-beam", "50-beam"])
+def beams(request):
+    scan = brs.load_scan(request.param)
+    noise, rng = plain_noise(scan), np.random.default_rng(1)
+    variance = draw_variances(np.tile([1.0, 0.6, 0.4, 0.0, -0.2, 0.0], (2, 1)), scan, noise, rng)
+    return records_of(variance, scan), scan, noise
+
+
+class TestFewBeamsAndMany:
+    """Many beams are fitted from noise that was reduced beforehand: an option must arrive on that road, too."""
+
+    @pytest.mark.parametrize(
+        ("section", "name"),
+        [
+            (section, name)
+            for section, name in EVERY
+            if section == "nuisances" and not name.startswith(("length_scale", "yaw_sd_missing"))
+        ],
+    )
+    def test_what_is_uncertain_changes_the_posterior(self, section, name, beams):
+        sample, (made, scan, noise) = SAMPLES[section][name], beams
+        needs = {"instrument_noise": 0.05} if name == "instrument_noise_log_sd" else {}
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 50, **needs}
+        plain = brs.fit(made, scan, **options).summary()
+        other = brs.fit(made, scan, nuisances=brs.Nuisances(**{name: sample.value}), **options).summary()
+        assert not np.allclose(plain["mean"], other["mean"], rtol=1e-6)

@@ -9,7 +9,8 @@ from scipy.linalg import toeplitz
 
 import bayes_rs as brs
 from bayes_rs.fits.batch import Batch
-from bayes_rs.fits.fitting import fit_options
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.flags import flag_words
 from bayes_rs.simulation.lines import LineMaker
 from bayes_rs.spectra.structure_noise import intercept_weights, structure_covariance, structure_function
 
@@ -23,7 +24,7 @@ def noisy(scan, noise, n_records, seed, flow=FLOW):
     white = np.sqrt(noise) * np.random.default_rng(seed).standard_normal(series.sizes["sample"])
     series = series.assign(radial_velocity=series["radial_velocity"] + white)
     records = brs.make_records(series, scan)
-    return records, brs.radial_spectra(series, scan, records)
+    return records, brs.spectra.radial_spectra(series, scan, records)
 
 
 class TestStructureFunctions:
@@ -61,7 +62,7 @@ class TestEstimate:
     @pytest.mark.parametrize(("interval", "noise"), [(1.0, 0.0), (1.0, 0.1), (4.0, 0.1)])
     def test_structure_functions_are_unbiased_and_know_their_error(self, interval, noise):
         _, spectra = noisy(replace(STARING, scan_duration=interval), noise, 150, 7)
-        found = brs.estimate_instrument_noise(spectra, STARING, FLOW)
+        found = brs.spectra.estimate_instrument_noise(spectra, STARING, FLOW)
         error = found["instrument_noise"].values[:, 0] - noise
         width = found["instrument_noise_sd"].values[:, 0]
         assert abs(error.mean()) < 4.0 * error.std() / np.sqrt(150)
@@ -73,8 +74,8 @@ class TestEstimate:
     def test_the_power_law_is_biased_where_the_interval_is_long(self):
         scan = replace(STARING, scan_duration=4.0)
         _, spectra = noisy(scan, 0.0, 100, 8)
-        law = brs.estimate_instrument_noise(spectra, scan, FLOW, growth="inertial")["instrument_noise"].values
-        theory = brs.estimate_instrument_noise(spectra, scan, FLOW)["instrument_noise"].values
+        law = brs.spectra.estimate_instrument_noise(spectra, scan, FLOW, growth="inertial")["instrument_noise"].values
+        theory = brs.spectra.estimate_instrument_noise(spectra, scan, FLOW)["instrument_noise"].values
         error = law.std() / 10.0
         assert law.mean() > 8.0 * error  # 0.12 of 1.2 m² s⁻²
         assert abs(theory.mean()) < 4.0 * theory.std() / 10.0
@@ -83,7 +84,7 @@ class TestEstimate:
         for interval, largest in ((1.0, 0.04), (4.0, 0.2)):
             scan = replace(STARING, scan_duration=interval)
             _, spectra = noisy(scan, 0.1, 40, 9)
-            found = brs.estimate_instrument_noise(spectra, scan, FLOW, method="spectrum")
+            found = brs.spectra.estimate_instrument_noise(spectra, scan, FLOW, method="spectrum")
             error = found["instrument_noise"].values[:, 0] - 0.1
             width = found["instrument_noise_sd"].values[:, 0]
             assert abs(error.mean()) < 4.0 * error.std() / np.sqrt(40)
@@ -91,11 +92,11 @@ class TestEstimate:
         assert width.mean() > 0.1  # every 4 s: as large as the noise itself
 
     def test_a_probe_volume_is_in_the_shape(self):
-        probe = brs.ContinuousWaveProbe(rayleigh_length=15.0)
+        probe = brs.geometry.ContinuousWaveProbe(rayleigh_length=15.0)
         scan = replace(STARING, probe=probe)
         _, spectra = noisy(scan, 0.05, 40, 10)
-        with_probe = brs.estimate_instrument_noise(spectra, scan, FLOW)["instrument_noise"].values[:, 0]
-        without = brs.estimate_instrument_noise(spectra, STARING, FLOW)["instrument_noise"].values[:, 0]
+        with_probe = brs.spectra.estimate_instrument_noise(spectra, scan, FLOW)["instrument_noise"].values[:, 0]
+        without = brs.spectra.estimate_instrument_noise(spectra, STARING, FLOW)["instrument_noise"].values[:, 0]
         # what the simulator adds where the covariances of probes are not those of any process
         added = LineMaker(scan, FLOW, wind_speed=10.0, n_sample=600).negative_part * FLOW.stresses()[0]
         assert abs(with_probe.mean() - 0.05) < 4.0 * with_probe.std() / np.sqrt(40) + added
@@ -103,12 +104,12 @@ class TestEstimate:
 
     def test_flags_say_what_is_wrong_and_nothing_is_clipped(self):
         _, spectra = noisy(replace(STARING, scan_duration=4.0), 0.0, 30, 11)
-        found = brs.estimate_instrument_noise(spectra, STARING, FLOW)
+        found = brs.spectra.estimate_instrument_noise(spectra, STARING, FLOW)
         noise, flag = found["instrument_noise"].values, found["flag"].values
         assert np.array_equal((flag & 2) > 0, noise < 0.0)
         assert np.any(noise < 0.0)
         tiny = spectra.assign(variance=0.0 * spectra["variance"] + 1e-9)
-        again = brs.estimate_instrument_noise(tiny, STARING, FLOW)
+        again = brs.spectra.estimate_instrument_noise(tiny, STARING, FLOW)
         assert np.array_equal((again["flag"].values & 1) > 0, noise >= 1e-9)
         assert np.all(again["flag"].values & 4)
         assert np.array_equal(again["instrument_noise"].values, noise)
@@ -121,7 +122,7 @@ class TestEstimate:
             ({"growth": "x"}, "growth"),
         ):
             with pytest.raises(brs.InputError, match=words):
-                brs.estimate_instrument_noise(spectra, STARING, FLOW, **options)
+                brs.spectra.estimate_instrument_noise(spectra, STARING, FLOW, **options)
 
 
 @pytest.fixture(scope="module")
@@ -129,23 +130,23 @@ def six():
     """Records of six beams with noise, and the noise found in them."""
     scan = brs.load_scan("6-beam")
     records, spectra = noisy(scan, 0.1, 4, 12)
-    return scan, records, brs.estimate_instrument_noise(spectra, scan, FLOW)
+    return scan, records, brs.spectra.estimate_instrument_noise(spectra, scan, FLOW)
 
 
 class TestRecordsWithNoise:
     def test_one_number_for_the_instrument_or_each_beam_or_record(self, six):
         _, records, found = six
-        one = brs.with_instrument_noise(records, found, known_positive=False)
+        one = brs.spectra.with_instrument_noise(records, found, known_positive=False)
         assert one["instrument_noise"].values == pytest.approx(float(found["instrument_noise"].mean()))
-        per_beam = brs.with_instrument_noise(records, found, per="beam", known_positive=False)
+        per_beam = brs.spectra.with_instrument_noise(records, found, per="beam", known_positive=False)
         assert per_beam["instrument_noise"].values[2] == pytest.approx(found["instrument_noise"].mean("record").values)
-        each = brs.with_instrument_noise(records, found, per="record", known_positive=False)
+        each = brs.spectra.with_instrument_noise(records, found, per="record", known_positive=False)
         assert np.array_equal(each["instrument_noise"].values, found["instrument_noise"].values)
 
     def test_a_variance_that_is_known_to_be_positive_has_a_cut_off_distribution(self, six):
         _, records, found = six
         low = found.assign(instrument_noise=0.0 * found["instrument_noise"] - 0.02)
-        got = brs.with_instrument_noise(records, low, per="record")
+        got = brs.spectra.with_instrument_noise(records, low, per="record")
         sd = low["instrument_noise_sd"].values
         exact = stats.truncnorm(a=0.02 / sd, b=np.inf, loc=-0.02, scale=sd)
         assert got["instrument_noise"].values == pytest.approx(exact.mean(), rel=1e-6)
@@ -154,11 +155,13 @@ class TestRecordsWithNoise:
     def test_input_is_checked(self, six):
         _, records, found = six
         with pytest.raises(brs.InputError, match="not of these records and beams"):
-            brs.with_instrument_noise(records.isel(record=[0]), found)
+            brs.spectra.with_instrument_noise(records.isel(record=[0]), found)
         with pytest.raises(brs.InputError, match="holds no number"):
-            brs.with_instrument_noise(records, found.assign(instrument_noise=np.nan * found["instrument_noise"]))
+            brs.spectra.with_instrument_noise(
+                records, found.assign(instrument_noise=np.nan * found["instrument_noise"])
+            )
         with pytest.raises(brs.InputError, match="Unknown per"):
-            brs.with_instrument_noise(records, found, per="day")
+            brs.spectra.with_instrument_noise(records, found, per="day")
 
 
 class TestFit:
@@ -194,26 +197,22 @@ class TestFit:
 
     def test_beams_that_are_all_noise_are_left_out_and_flagged(self, six, noise, tmp_path):
         scan, records, found = six
-        own = brs.with_instrument_noise(records, found)
+        own = brs.spectra.with_instrument_noise(records, found)
         values = own["instrument_noise"].values
         values[1, 2] = float(records["variance"].values[1, 2])
         values[3] = 99.0
         result = self.draws(six, noise, own, instrument_noise="records")
-        words = [brs.flag_words(int(flag)) for flag in result["sample_stats"]["flag"].values]
+        words = [flag_words(int(flag)) for flag in result["sample_stats"]["flag"].values]
         assert words == ["", "beam_left_out", "", "no_usable_beam"]
-        campaign = brs.fit_campaign(
-            own, scan, tmp_path / "year", noise=noise, seed=1, sampler="direct", instrument_noise="records"
-        )
-        means = campaign.summary()["mean"].to_numpy()
+        options = {"noise": noise, "seed": 1, "sampler": "direct", "instrument_noise": "records"}
+        means = brs.fit(own, scan, output=tmp_path / "year", **options).summary()["mean"].to_numpy()
         assert np.array_equal(means, result.summary()["mean"].to_numpy(), equal_nan=True)
 
     def test_uncertain_noise_has_the_mean_of_the_used_beams_as_median(self):
         used = np.array([[True, True, False], [True, False, False]])
         own = np.array([[0.1, 0.3, 9.0], [0.2, 9.0, 9.0]])
         batch = Batch(np.ones((2, 3)), used, np.ones(2), np.zeros(2), np.arange(2), instrument_noise=own)
-        options = fit_options(
-            "weak", "record", "direct", "log-normal", brs.Nuisances(instrument_noise_log_sd=0.3), "records", 100, 1, 1
-        )
+        options = FitOptions(instrument_noise="records", nuisances=brs.Nuisances(instrument_noise_log_sd=0.3))
         assert batch.median_noise(options) == pytest.approx(np.array([[0.2], [0.2]]))
         assert batch.known_noise(options) == 0.0
         assert batch.take(np.array([1])).median_noise(options) == pytest.approx(np.array([[0.2]]))

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
 
-from bayes_rs import InputError, RatioPrior, Scan, design_matrix, fit, load_scan
+from bayes_rs import InputError, Scan, fit, load_scan
+from bayes_rs.geometry import design_matrix
 from bayes_rs.geometry.attitude import gain_turn, level_direction, roll_matrix
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.noise.noise import Noise
+from bayes_rs.priors import RatioPrior
 
 ROUNDING = 1e-12
 

@@ -6,10 +6,11 @@ import xarray as xr
 from scipy import stats
 
 import bayes_rs as brs
-from bayes_rs import InputError, load_scan, load_turbulence, mean_wind
+from bayes_rs import InputError, load_scan, load_turbulence
 from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
 from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.wind import mean_wind
 from bayes_rs.wind.mean_error import record_mean_covariance
 
 FLOW = load_turbulence("fu-2022")
@@ -173,7 +174,7 @@ class TestMeanWind:
     def test_a_staring_beam_has_a_speed_error_and_no_yaw_error(self):
         scan = load_scan("staring")
         found = mean_wind(records_of([[-8.0]], scan, wind_speed=8.0), scan, turbulence=FLOW, scale="turbulence")
-        covariance = brs.beam_mean_covariance(scan, FLOW, wind_speed=8.0)
+        covariance = brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=8.0)
         # the speed is interpolated in the net of states: below 1 % of a variance
         assert found["wind_speed_sd"].item() == pytest.approx(np.sqrt(covariance[0, 0]), rel=0.01)
         assert np.isnan(found["yaw_sd"].item())
@@ -234,7 +235,7 @@ class TestErrorOfMeans:
     @pytest.mark.parametrize("duration", [40.0, 42.0])  # in the second, two beams have a sample more than the others
     def test_against_the_double_sum(self, duration):
         scan = load_scan("pulsed-4-beam", yaw_deg=20.0, probe="point")
-        found = brs.beam_mean_covariance(scan, FLOW, wind_speed=7.0, duration=duration, tolerance=1e-4)
+        found = brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=7.0, duration=duration, tolerance=1e-4)
         every = scan.beam_time[:, None] + scan.scan_duration * np.arange(20)
         time = [row[row < duration] for row in every]
         place = scan.focus_distance[:, None] * scan.line_of_sight
@@ -242,7 +243,7 @@ class TestErrorOfMeans:
             for b in range(4):
                 apart = np.tile(place[b] - place[a], (len(time[a]), len(time[b]), 1))
                 apart[..., 0] -= 7.0 * (time[b][None, :] - time[a][:, None])
-                tensor = brs.velocity_covariance(apart, FLOW)
+                tensor = brs.turbulence.velocity_covariance(apart, FLOW)
                 slow = np.einsum("i,mnij,j->mn", scan.line_of_sight[a], tensor, scan.line_of_sight[b]).mean()
                 assert found[a, b] == pytest.approx(slow, abs=2e-4 * FLOW.stresses()[0])  # both are to 1e-4 of uu
 
@@ -250,11 +251,11 @@ class TestErrorOfMeans:
     def test_what_the_mean_takes_is_what_the_variance_lacks(self, name):
         """Another way to the same number: the bias of the noise model, from a trace of Toeplitz matrices."""
         scan = load_scan(name)
-        found = np.diag(brs.beam_mean_covariance(scan, FLOW, wind_speed=10.0, tolerance=1e-4))
+        found = np.diag(brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=10.0, tolerance=1e-4))
         noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
         records = (1.0 + noise.bias[0]) * (noise.gain[0] @ FLOW.stresses())
         if name == "6-beam":
-            whole = brs.radial_variance(scan, FLOW.stresses())
+            whole = brs.geometry.radial_variance(scan, FLOW.stresses())
         else:
             n, zero = scan.line_of_sight, np.zeros((scan.n_beam, 2))
             length = np.tile(scan.probe_length[:, None], (1, 2))
@@ -265,7 +266,7 @@ class TestErrorOfMeans:
         """Var → 2 T_i σ²/T: with the two-sided spectrum at k₁ → 0, 2 T_i σ² = 2π F(0)/U."""
         scan = load_scan("staring")
         duration, speed = 40_000.0, 10.0
-        found = brs.beam_mean_covariance(scan, FLOW, wind_speed=speed, duration=duration)[0, 0]
+        found = brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=speed, duration=duration)[0, 0]
         limit = 2.0 * np.pi * FLOW.spectra([1e-6])[0, 0] / (speed * duration)
         assert found == pytest.approx(limit, rel=0.03)  # the next term of the limit is of the order of L/(U T), 1e-3
 
@@ -289,7 +290,7 @@ class TestErrorOfMeans:
         records = records_of(np.zeros((5, scan.n_beam)), scan).assign(wind_speed=("record", speed), yaw=("record", yaw))
         found = record_mean_covariance(records, scan, FLOW, scale="turbulence")
         for record in range(5):
-            exact = brs.beam_mean_covariance(scan, FLOW, wind_speed=speed[record], yaw_deg=yaw[record])
+            exact = brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=speed[record], yaw_deg=yaw[record])
             size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
             assert np.max(np.abs(found[record] - exact) / size) < 0.01
 
@@ -313,7 +314,7 @@ class TestCoverage:
     def test_covariance_of_the_means(self, simulated):
         scan, records = simulated
         deviation = records["mean"].values - 10.0 * scan.line_of_sight[:, 0]
-        covariance = brs.beam_mean_covariance(scan, FLOW, wind_speed=10.0)
+        covariance = brs.wind.beam_mean_covariance(scan, FLOW, wind_speed=10.0)
         square = np.einsum("rb,rb->r", deviation, np.linalg.solve(covariance, deviation.T).T)
         assert stats.kstest(square, "chi2", args=(scan.n_beam,)).pvalue > FALSE_ALARM
 

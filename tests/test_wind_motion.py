@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 import bayes_rs as brs
-from bayes_rs import InputError, load_scan, load_turbulence, read_motion, remove_motion, with_motion
+from bayes_rs import InputError, load_scan, load_turbulence
+from bayes_rs.wind import read_motion, remove_motion, with_motion
 
 FLOW = load_turbulence("fu-2022")
 SECOND = np.timedelta64(1_000_000_000, "ns")
@@ -80,7 +81,7 @@ class TestWithMotion:
 
     def test_errors_of_another_attitude_are_dropped(self):
         scan = load_scan("6-beam")
-        records = brs.mean_wind(records_at(scan, 1), scan, turbulence=FLOW)
+        records = brs.wind.mean_wind(records_at(scan, 1), scan, turbulence=FLOW)
         assert "yaw_sd" in records
         assert "yaw_sd" not in with_motion(records, motion_of([0.0], tilt_deg=[3.0]), scan)
 

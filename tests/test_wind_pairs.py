@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bayes_rs as brs
-from bayes_rs import InputError, Scan, load_scan, load_turbulence, pair_stresses, reconstruct_pairs
+from bayes_rs import InputError, Scan, load_scan, load_turbulence
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.wind import pair_stresses, reconstruct_pairs
 from bayes_rs.wind.pairs import _matched
 
 FLOW = load_turbulence("fu-2022")
@@ -113,7 +114,7 @@ class TestBias:
         found = pair_stresses(scan, FLOW, wind_speed=10.0).isel(pair=0)
         uu, vv = FLOW.stresses()[:2]
         apart = [0.0, 2.0 * 98.0 * np.sin(np.deg2rad(angle)), 0.0]
-        covariance = brs.velocity_covariance(apart, FLOW)
+        covariance = brs.turbulence.velocity_covariance(apart, FLOW)
         rho_u, rho_v = covariance[0, 0] / uu, covariance[1, 1] / vv
         tangent = np.tan(np.deg2rad(angle)) ** 2
         of_u = 0.5 * (1.0 + rho_u) * uu + 0.5 * (1.0 - rho_v) * tangent * vv

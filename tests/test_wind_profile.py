@@ -6,7 +6,8 @@ from scipy import stats
 from test_wind_mean import FALSE_ALARM, FLOW, records_of
 
 import bayes_rs as brs
-from bayes_rs import InputError, load_scan, wind_profile
+from bayes_rs import InputError, load_scan
+from bayes_rs.wind import wind_profile
 from bayes_rs.wind.profile import LAWS, VON_KARMAN
 
 HUB = 90.0

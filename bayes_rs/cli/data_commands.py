@@ -101,7 +101,7 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
     "scan",
     "records",
     "noise",
-    only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence", "noise_method")},
+    only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence",)},
 )
 @click.option(
     "--wind-speed",
@@ -118,6 +118,13 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
     multiple=True,
     help="Wind direction relative to the lidar axis, degrees; by default that of the scan. May be repeated.",
 )
+@click.option(
+    "--method",
+    type=click.Choice(["theory", "boxes"]),
+    default="theory",
+    show_default=True,
+    help="By theory, or by a virtual lidar in boxes of turbulence, which checks the theory.",
+)
 @click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
 @click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the boxes.")
@@ -127,6 +134,7 @@ def calibrate(
     scan: str,
     wind_speed: tuple[float, ...],
     noise_yaw: tuple[float, ...],
+    method: str,
     sonic: bool,
     n_boxes: int,
     seed: int,
@@ -143,9 +151,8 @@ def calibrate(
     from bayes_rs.output import output_file
 
     settings = settings_of((), {"scan": scan, **options})
-    method = settings.noise.noise_method
     if method != "boxes":
-        refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --noise-method boxes.")
+        refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --method boxes.")
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
             settings.scan.load(),

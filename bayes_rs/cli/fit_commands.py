@@ -131,7 +131,6 @@ def sensitivity(
             factors=factors,
             say=say,
             turbulence=settings.noise.turbulence,
-            noise_method=settings.noise.noise_method,
             **{name: getattr(own, name) for name in own.__dataclass_fields__ if name != "draws"},
         )
         if part is not None:

@@ -253,7 +253,7 @@ def refuse_beside_noise(settings: Settings) -> None:
     """
     if settings.noise.noise is not None:
         refuse_given(
-            ("turbulence", "noise_method"),
+            ("turbulence",),
             f"it says how noise is made, and the noise of {settings.noise.noise!r} is given: leave one of them out.",
         )
 

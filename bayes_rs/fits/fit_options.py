@@ -154,13 +154,7 @@ class FitOptions:
 @described
 @dataclass(frozen=True, kw_only=True)
 class NoiseOptions:
-    """Which noise a fit takes, or how it is made for the records.
-
-    Raises
-    ------
-    InputError
-        If the method is not known.
-    """
+    """Which noise a fit takes, or which turbulence it is made for: by theory, for the records' own winds."""
 
     noise: str | None = option(None, "Noise file; by default the noise is made for the records' winds", metavar="FILE")
     turbulence: str = option(
@@ -168,9 +162,6 @@ class NoiseOptions:
         "Turbulence that the noise is made for: a name or a TOML file",
         choices="bayes_rs.models:TURBULENCES",
         open=True,
-    )
-    noise_method: str = option(
-        "theory", "How the noise is made", choices="bayes_rs.noise.methods:METHODS", flag="--noise-method"
     )
 
 

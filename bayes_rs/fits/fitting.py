@@ -75,8 +75,7 @@ def fit(
         Takes lines that tell what is being done.
     **options
         Fields of `FitOptions`, such as ``prior``, ``target``, ``sampler``, ``nuisances``, ``instrument_noise``,
-        ``prob``, ``derived`` and ``draws``; and of `NoiseOptions`, for noise that is made here: ``turbulence`` and
-        ``noise_method``.
+        ``prob``, ``derived`` and ``draws``; and, for noise that is made here, ``turbulence``.
 
     Returns
     -------

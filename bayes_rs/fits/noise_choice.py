@@ -64,7 +64,6 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
         scan,
         choice.turbulence,
         records=records,
-        method=choice.noise_method,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
     )

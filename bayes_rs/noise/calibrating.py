@@ -20,11 +20,13 @@ from bayes_rs.noise.at_states import noise_at_states
 from bayes_rs.noise.box_noise import Boxes
 from bayes_rs.noise.choice import noise_for_records
 from bayes_rs.noise.gaps import gap_noise
-from bayes_rs.noise.methods import METHODS
 from bayes_rs.noise.net import TOLERANCE, refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
+
+METHODS = ("theory", "boxes")
+"""How noise can be made: by closed forms of Gaussian turbulence, or by realizations of it in boxes."""
 
 
 def calibrate(
@@ -134,9 +136,10 @@ def calibrate(
         raise InputError(
             f"{given} given: give records, for the noise that they need, or wind_speed (m/s), for that of its states."
         )
-    if boxes is not None and (tolerance is not None or present is not None):
-        name = "tolerance" if present is None else "present"
-        raise InputError(f"Invalid {name} with method 'boxes': only method='theory' has it; leave it out.")
+    if boxes is not None:
+        for name, value in (("records", records), ("tolerance", tolerance), ("present", present)):
+            if value is not None:
+                raise InputError(f"Invalid {name} with method 'boxes': only method='theory' has it; give wind_speed.")
     common: dict[str, Any] = {"cache": cache, "sonic": sonic, "progress": progress}
     if records is not None:
         if yaw_deg is not None or present is not None:
@@ -148,7 +151,6 @@ def calibrate(
             turbulence,
             length_scale=_range(length_scale),
             gamma=_range(gamma),
-            boxes=boxes,
             tolerance=TOLERANCE if tolerance is None else tolerance,
             **common,
         )

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError, MissingExtraError
+from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.at_states import noise_at_states
-from bayes_rs.noise.box_noise import Boxes
 from bayes_rs.noise.net import TOLERANCE, refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import find_shipped_noise
@@ -35,7 +33,6 @@ def noise_for_records(
     *,
     length_scale: Sequence[float] | None = None,
     gamma: Sequence[float] | None = None,
-    boxes: Boxes | None = None,
     tolerance: float = TOLERANCE,
     sonic: bool = False,
     cache: bool | str | Path = True,
@@ -54,8 +51,6 @@ def noise_for_records(
     length_scale, gamma : sequence of float, optional
         Length scales L, m, and anisotropies Γ that the noise reaches over; by default those of the records, if they
         have some, else only that of the turbulence.
-    boxes : Boxes, optional
-        How to simulate it; by theory if not given.
     tolerance, sonic, cache, progress
         As for `calibrate`.
 
@@ -67,22 +62,15 @@ def noise_for_records(
     Raises
     ------
     InputError
-        If no record has a wind speed, or boxes are asked for with a sonic or several L or Γ.
-    MissingExtraError
-        If nothing suitable is shipped or cached, and hipersim is not installed.
+        If no record has a wind speed.
 
     Notes
     -----
-    By theory, each record gets noise of its own wind speed and direction, interpolated in a net with an error of K of
+    Each record gets noise of its own wind speed and direction, interpolated in a net with an error of K of
     at most `tolerance` (`refined_noise`): the shipped net if it holds all records; else one for their range, which for
     scans of up to 60 beams reaches over 3 to 25 m/s and, for records from more than one direction, −60° to 60° at
     least, so that the cache serves other days. Wind speeds below 1 and above 50 m/s count as outside. Where all records
     have the same wind speed and direction, only that state is calculated.
-
-    By boxes, shipped noise is taken if at least nine in ten records are near one of its states: within a factor √1.5
-    in wind speed and 10° in yaw. Else the noise is calibrated at those states of a net of 10 · 1.4ⁱ m/s and multiples
-    of 20° that are nearest to some record. Where hipersim is not installed, shipped noise is taken however far it is;
-    `Noise.in_words` says how many records are outside.
     """
     speed, yaw = known_winds(records)
     if len(speed) == 0:
@@ -91,13 +79,7 @@ def noise_for_records(
         )
     duration = float(records.attrs.get("duration", 600.0))
     flow, spans = _flow_of(records, turbulence, {"length_scale": length_scale, "gamma": gamma})
-    if boxes is None:
-        return _from_theory(scan, flow, speed, yaw, spans, duration, tolerance, sonic, cache, progress)
-    if sonic:
-        raise InputError("Invalid noise method 'boxes' for the target 'sonic': only 'theory' has its moments.")
-    if spans:
-        raise InputError(f"Invalid noise method 'boxes' for several {' and '.join(spans)}: only 'theory' spans them.")
-    return _from_boxes(scan, flow, speed, yaw, duration, boxes, cache, progress)
+    return _from_theory(scan, flow, speed, yaw, spans, duration, tolerance, sonic, cache, progress)
 
 
 def known_winds(records: xr.Dataset) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +127,7 @@ def _from_theory(
         if max(np.ptp(speed), np.ptp(yaw)) <= _SAME:
             state = RecordState(scan, float(speed[0]), float(yaw[0]), duration)
             return noise_at_states([state], turbulence, sonic=sonic, cache=cache, progress=progress)
-        shipped = find_shipped_noise(scan, turbulence, duration=duration, method="theory") if cache is True else None
+        shipped = find_shipped_noise(scan, turbulence, duration=duration) if cache is True else None
         if shipped is not None and (shipped.has_sonic or not sonic) and _holds(shipped, speed, yaw, tolerance):
             return shipped
         if scan.n_beam <= _QUICK:
@@ -170,40 +152,3 @@ def _holds(noise: Noise, speed: FloatArray, yaw: FloatArray, tolerance: float) -
     """Tell whether a net reaches over all records, with an error within the tolerance."""
     error = noise.interpolation_error
     return error is not None and error <= tolerance and not np.any(noise.locate(speed, yaw)[2])
-
-
-def _from_boxes(
-    scan: Scan,
-    turbulence: MannTurbulence,
-    speed: FloatArray,
-    yaw: FloatArray,
-    duration: float,
-    boxes: Boxes,
-    cache: bool | str | Path,
-    progress: bool | None,
-) -> Noise:
-    """Return shipped noise where it is near the records, else noise that is simulated."""
-    shipped = find_shipped_noise(scan, turbulence, duration=duration, method="boxes") if cache is True else None
-    if shipped is not None and np.mean(_far(shipped, speed, yaw)) <= 0.1:
-        return shipped
-    level = np.round(np.log(speed / 10.0) / np.log(1.4)).astype(int)
-    turn = np.round(np.rad2deg(yaw) / 20.0).astype(int)
-    states = [
-        RecordState(scan, round(10.0 * 1.4 ** int(step), 6), float(np.deg2rad(20.0 * int(side))), duration)
-        for step in np.unique(level)
-        for side in np.unique(turn)
-    ]
-    try:
-        return noise_at_states(states, turbulence, boxes=boxes, cache=cache, progress=progress)
-    except MissingExtraError:
-        if shipped is None:
-            raise
-        return shipped
-
-
-def _far(noise: Noise, speed: FloatArray, yaw: FloatArray) -> NDArray[np.bool_]:
-    """Tell which records are farther from every state than half a step of the shipped net."""
-    speed_used, yaw_used, _ = noise.locate(speed, yaw)
-    turn = np.abs(np.angle(np.exp(1j * (yaw - yaw_used))))
-    ratio = np.abs(np.log(speed / speed_used))
-    return np.asarray((ratio > 0.5 * np.log(1.5) + 1e-9) | (turn > np.deg2rad(10.0) + 1e-9))

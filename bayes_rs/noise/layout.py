@@ -150,9 +150,17 @@ def noise_fields(dataset: xr.Dataset) -> dict[str, Any]:
         ),
         "method": methods.pop(),
         "n_realizations": states["n_realizations"].values,
-        "details": json.loads(attributes["details"]),
-        "state_details": [json.loads(str(one)) for one in states["details"].values],
+        "details": _mapping(str(attributes["details"])),
+        "state_details": [_mapping(str(states["details"].values[index])) for index in range(states.sizes["state"])],
     }
+
+
+def _mapping(text: str) -> dict[str, Any]:
+    """Return details from JSON; anything but a mapping is damage."""
+    found = json.loads(text)
+    if not isinstance(found, dict):
+        raise InputError(f"its details are {text[:40]!r}, and must be a mapping in JSON.")
+    return found
 
 
 def _matrices(states: xr.Dataset) -> tuple[FloatArray, FloatArray]:
