@@ -72,7 +72,6 @@ SUBJECTS = {
         "estimate",
         "optimize_scan",
         "plan",
-        "plot_comparison",
         "scan_criterion",
     ],
     "geometry": [
@@ -107,7 +106,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["corner", "lumley", "stresses"],
+    "plot": ["comparison", "corner", "lumley", "spectra", "stresses"],
     "priors": [
         "FlatPrior",
         "GaussianPrior",
@@ -164,7 +163,6 @@ SUBJECTS = {
         "average_spectra",
         "estimate_instrument_noise",
         "fit_spectra",
-        "plot_spectra",
         "pool_length_scale",
         "radial_spectra",
         "with_instrument_noise",

@@ -20,6 +20,7 @@ from bayes_rs.fits.fit_options import NoiseOptions
 from bayes_rs.fits.fitting import split_options
 from bayes_rs.fits.settings import SECTIONS, InputOptions, Settings
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
+from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.options import options_of
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_options import RecordOptions
@@ -629,7 +630,9 @@ def beams(request):
     scan = brs.load_scan(request.param)
     noise, rng = plain_noise(scan), np.random.default_rng(1)
     variance = draw_variances(np.tile([1.0, 0.6, 0.4, 0.0, -0.2, 0.0], (2, 1)), scan, noise, rng)
-    return records_of(variance, scan), scan, noise
+    net = brs.noise.calibrate(scan, wind_speed=[8.0, 12.0], yaw_deg=[-20.0, 20.0], tolerance=0.2)
+    assert ReducedNoise.suits(net) == (scan.n_beam > 6)
+    return records_of(variance, scan), scan, net
 
 
 class TestFewBeamsAndMany:
