@@ -131,7 +131,7 @@ def from_plain(cls: type[_Class], values: Mapping[str, Any], *, where: str) -> _
     known = {entry.name: entry for entry in options_of(cls)}
     for name in values:
         if name not in known:
-            raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}.")
+            raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}")
     try:
         return cls(**{name: _as_type(value, known[name].type, f"{where}, {name}") for name, value in values.items()})
     except TypeError as error:
@@ -206,14 +206,14 @@ def _has_type(value: Any, annotation: Any) -> bool:
 
 
 def nearest(name: str, known: Mapping[str, Any], elsewhere: Mapping[str, tuple[str, ...]] | None = None) -> str:
-    """Say which option was meant, or which there are; `elsewhere` are those of other sections, and their places."""
+    """Ask which option was meant, or say which there are; `elsewhere` are those of other sections, and their places."""
     places = elsewhere or {}
     names = list({**known, **places})
     close = [one for one in names if one.startswith(f"{name}_")] or difflib.get_close_matches(name, names, n=1)
     if not close:
-        return f"the options are {', '.join(known)}"
+        return f"the options are {', '.join(known)}."
     place = "" if close[0] in known else f" of section {'.'.join(places[close[0]])}"
-    return f"did you mean {close[0]!r}{place}"
+    return f"did you mean {close[0]!r}{place}?"
 
 
 def _default(entry: Field[Any]) -> Any:

@@ -88,7 +88,7 @@ def test_what_is_a_matter_of_one_reading_is_not_the_scans(tmp_path, name):
     ("text", "message"),
     [
         ('positive = "up"', "file: unknown positive 'up': it must be one of away, towards."),
-        ('colums = { time = "t" }', "file.colums = a table of 1 keys: unknown key; did you mean 'columns'."),
+        ('colums = { time = "t" }', "file.colums = a table of 1 keys: unknown key; did you mean 'columns'?"),
         ("invalid = [true]", "file: invalid entry of invalid True: it must be a finite number."),
         ('status_valid = "1"', "file: invalid status_valid '1': it must be a finite number."),
         ("sample_duration = -1", "file: invalid sample_duration -1 s: it must be a finite number above zero."),

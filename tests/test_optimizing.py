@@ -519,7 +519,7 @@ class TestCommand:
             (("--beams", 6), "The beams have no limit"),
             (
                 ("--beams", 6, "--max-angle", 30, "--blocked", "left"),
-                "Invalid blocked range 'left': write it as FROM:TO",
+                "Invalid range 'left': write it as FROM:TO",
             ),
         ],
     )

@@ -491,7 +491,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"durations": 60.0}, "Unknown option 'durations' in the options of records: did you mean 'duration'."),
+            ({"durations": 60.0}, "Unknown option 'durations' in the options of records: did you mean 'duration'?"),
             ({"motion": ["a.csv"]}, "The option motion is not used where records are made: give it and the records to"),
             ({"motion_columns": {"tilt_deg": "Tilt"}}, "The option motion_columns is only used with motion"),
         ],

@@ -128,7 +128,7 @@ class TestChanged:
         assert settings.fit.nuisances == Nuisances(tilt_sd_deg=1.0, yaw_sd_deg=2.0)
 
     def test_an_unknown_option(self):
-        with pytest.raises(InputError, match=r"^Unknown option 'priors' of the settings: did you mean 'prior'\.$"):
+        with pytest.raises(InputError, match=r"^Unknown option 'priors' of the settings: did you mean 'prior'\?$"):
             Settings().changed(priors="flat")
 
     def test_a_wrong_value(self):
@@ -143,11 +143,11 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("[fits]\n", "Unknown section 'fits' in settings file {file}: did you mean 'fit'."),
+            ("[fits]\n", "Unknown section 'fits' in settings file {file}: did you mean 'fit'?"),
             ("fit = 3\n", "Invalid section 'fit' in settings file {file}: it must be a table of options, as [fit]."),
             (
                 "[fit]\npriors = 'flat'\n",
-                "Unknown option 'priors' in settings file {file}, section fit: did you mean 'prior'.",
+                "Unknown option 'priors' in settings file {file}, section fit: did you mean 'prior'?",
             ),
             (
                 "[noise]\nprior = 'flat'\n",
@@ -157,12 +157,12 @@ class TestErrors:
                 "[fit]\nyaw_sd = 2\n",
                 (
                     "Unknown option 'yaw_sd' in settings file {file}, section fit: did you mean 'yaw_sd_deg' of "
-                    "section fit.nuisances."
+                    "section fit.nuisances?"
                 ),
             ),
             (
                 "[fit.nuisances]\nyaw_sd = 2\n",
-                "Unknown option 'yaw_sd' in settings file {file}, section fit.nuisances: did you mean 'yaw_sd_deg'.",
+                "Unknown option 'yaw_sd' in settings file {file}, section fit.nuisances: did you mean 'yaw_sd_deg'?",
             ),
             (
                 "[output]\nqqqq = 2\n",

@@ -177,7 +177,7 @@ def _options(options: dict[str, Any]) -> tuple[ScanLimits, CriterionOptions]:
     known = {entry.name: cls for cls in (ScanLimits, CriterionOptions) for entry in options_of(cls)}
     for name in options:
         if name not in known:
-            raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}.")
+            raise InputError(f"Unknown option {name!r} in {where}: {nearest(name, known)}")
     limits, judged = (
         {name: value for name, value in options.items() if known[name] is cls} for cls in (ScanLimits, CriterionOptions)
     )

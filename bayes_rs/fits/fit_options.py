@@ -178,7 +178,7 @@ def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]
     for name in options:
         if name not in of_fit | of_noise:
             known = dict.fromkeys(sorted(of_fit | of_noise))
-            raise InputError(f"Unknown option {name!r} of fit: {nearest(name, known)}.")
+            raise InputError(f"Unknown option {name!r} of fit: {nearest(name, known)}")
     return (
         FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
         NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),

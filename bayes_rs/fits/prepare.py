@@ -17,10 +17,6 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.posteriors.nuisance import Nuisances
-
-_SAME_FLOW = 0.01
-"""Relative difference of L or Γ that counts as none: it changes K by about as much as a bank's interpolation."""
 
 
 def can_be_fitted(batch: Batch) -> NDArray[np.int64]:
@@ -43,7 +39,6 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     noise.check_scan(scan)
     _check_duration(records, noise)
     uncertain = options.nuisances
-    _check_flow(records, noise, uncertain)
     own_noise = _own_noise(records, _sound(records)) if isinstance(options.instrument_noise, str) else None
     batch = Batch(
         np.asarray(records["variance"].values, dtype=np.float64),
@@ -133,25 +128,6 @@ def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: flo
             "zero or above; give yaw_sd_missing_deg (--yaw-sd-missing) for these, or one yaw_sd_deg (--yaw-sd) for all."
         )
     return own
-
-
-def _check_flow(records: xr.Dataset, noise: Noise, nuisances: Nuisances) -> None:
-    """Refuse records with a turbulence of their own that the noise would leave aside."""
-    averaged = nuisances.length_scale_log_sd > 0.0
-    for name, unit, remedy in (
-        ("length_scale", " m", "noise.calibrate(scan, records=records)"),
-        ("gamma", "", "noise.calibrate(scan, records=records)"),
-    ):
-        known = np.asarray(getattr(noise, name))
-        if name not in records or np.ptp(known) > 0.0 or (averaged and name == "length_scale"):
-            continue
-        own = np.asarray(records[name].values, dtype=np.float64)
-        other = np.flatnonzero(np.abs(own - known[0]) > _SAME_FLOW * known[0])
-        if len(other):
-            raise InputError(
-                f"Record {other[0]} has a {name} of its own, {own[other[0]]:.3g}{unit}, and the noise knows only "
-                f"{known[0]:.3g}{unit}: make it with {remedy}, or leave it out with records.drop_vars({name!r})."
-            )
 
 
 def _check_duration(records: xr.Dataset, noise: Noise) -> None:

@@ -201,7 +201,7 @@ class Settings:
         by_section: dict[tuple[str, ...], dict[str, Any]] = {}
         for name, value in values.items():
             if name not in places:
-                raise InputError(f"Unknown option {name!r} of the settings: {nearest(name, places)}.")
+                raise InputError(f"Unknown option {name!r} of the settings: {nearest(name, places)}")
             by_section.setdefault(places[name], {})[name] = value
         nuisances = by_section.pop(("fit", "nuisances"), {})
         if nuisances:
@@ -318,7 +318,7 @@ class Settings:
         sections: dict[str, Any] = {}
         for name, values in plain.items():
             if name not in SECTIONS:
-                raise InputError(f"Unknown section {name!r} in {where}: {nearest(name, SECTIONS)}.")
+                raise InputError(f"Unknown section {name!r} in {where}: {nearest(name, SECTIONS)}")
             if not isinstance(values, Mapping):
                 raise InputError(f"Invalid section {name!r} in {where}: it must be a table of options, as [{name}].")
             _check_names(values, SECTIONS[name], (name,), where)
@@ -369,7 +369,7 @@ def _check_names(values: Mapping[str, Any], cls: type, place: tuple[str, ...], w
             continue
         if name in every:
             raise InputError(f"Unknown option {name!r} in {here}: it is one of section {'.'.join(every[name])}.")
-        raise InputError(f"Unknown option {name!r} in {here}: {nearest(name, own, every)}.")
+        raise InputError(f"Unknown option {name!r} in {here}: {nearest(name, own, every)}")
     check_plain(cls, values, where=here)
 
 

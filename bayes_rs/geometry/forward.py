@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,19 +11,20 @@ from numpy.typing import ArrayLike
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 
 RANK_TOLERANCE = 1e-9
 """A singular value below this fraction of the largest counts as zero: directions are stored to about 1e-16."""
 
 
-def design_matrix(scan: Scan | ArrayLike) -> FloatArray:
+def design_matrix(scan: Scan | Path | ArrayLike) -> FloatArray:
     """Return the matrix that maps the six stresses to radial variances.
 
     Parameters
     ----------
-    scan : Scan or array_like, shape (..., n_beam, 3)
-        A scan, or beam vectors n in the mean-wind frame.
+    scan : Scan, str, Path or array_like, shape (..., n_beam, 3)
+        A scan, its name or file, or beam vectors n in the mean-wind frame.
 
     Returns
     -------
@@ -51,7 +53,8 @@ def design_matrix(scan: Scan | ArrayLike) -> FloatArray:
     array([[ 1.  ,  0.  ,  0.  , -0.  , -0.  ,  0.  ],
            [ 0.36,  0.  ,  0.64, -0.  , -0.96,  0.  ]])
     """
-    vectors = scan.line_of_sight if isinstance(scan, Scan) else np.asarray(scan, dtype=np.float64)
+    named = isinstance(scan, Scan | str | Path)
+    vectors = as_scan(scan).line_of_sight if named else np.asarray(scan, dtype=np.float64)
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
     first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -60,13 +63,13 @@ def design_matrix(scan: Scan | ArrayLike) -> FloatArray:
     )
 
 
-def radial_variance(scan: Scan | ArrayLike, stress: ArrayLike) -> FloatArray:
+def radial_variance(scan: Scan | Path | ArrayLike, stress: ArrayLike) -> FloatArray:
     """Return the radial variance n·R n of each beam.
 
     Parameters
     ----------
-    scan : Scan or array_like, shape (n_beam, 3)
-        A scan, or beam vectors n in the mean-wind frame.
+    scan : Scan, str, Path or array_like, shape (n_beam, 3)
+        A scan, its name or file, or beam vectors n in the mean-wind frame.
     stress : array_like, shape (..., 6)
         Stresses uu, vv, ww, uv, uw, vw, m² s⁻².
 
@@ -125,13 +128,13 @@ class Sight:
         return "; ".join(parts)
 
 
-def sight(scan: Scan | ArrayLike) -> Sight:
+def sight(scan: Scan | Path | ArrayLike) -> Sight:
     """Work out what the beams can see of R.
 
     Parameters
     ----------
-    scan : Scan or array_like, shape (n_beam, 3)
-        A scan, or beam vectors n in the mean-wind frame.
+    scan : Scan, str, Path or array_like, shape (n_beam, 3)
+        A scan, its name or file, or beam vectors n in the mean-wind frame.
 
     Returns
     -------
@@ -144,8 +147,7 @@ def sight(scan: Scan | ArrayLike) -> Sight:
 
     Examples
     --------
-    >>> from bayes_rs.geometry.scan_file import load_scan
-    >>> sight(load_scan("50-beam")).in_words()
+    >>> sight("50-beam").in_words()
     'sees uv, uw, vw; sees uu only together with vv + ww'
     """
     matrix = design_matrix(scan)

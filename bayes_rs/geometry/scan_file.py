@@ -380,9 +380,9 @@ def _file_format(table: dict[str, Any], path: Path) -> dict[str, Any]:
     known = {entry.name: entry.type for entry in options_of(FileOptions) if entry.name not in OF_READING}
     for name, value in table.items():
         if name not in known:
-            hint = nearest(name, known) if len(name) < 100 else "remove it"
+            hint = nearest(name, known) if len(name) < 100 else "remove it."
             place = name if name.isprintable() and len(name) < 100 else shown(name)
-            raise InputError(f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}.")
+            raise InputError(f"Invalid scan file {str(path)!r}: file.{place} = {shown(value)}: unknown key; {hint}")
     try:
         options = to_plain(from_plain(FileOptions, table, where="file"))
     except InputError as error:
