@@ -523,6 +523,12 @@ class TestOtherCommands:
         assert found[name] == value
         assert found["scan"].yaw == pytest.approx(np.deg2rad(5.0))
 
+    @pytest.mark.parametrize("command", ["fit", "sensitivity"])
+    def test_noise_that_is_made_for_records(self, command, handed, tmp_path):
+        words = ("--noise-method", "boxes", "--turbulence", "iec-b", "--target", "sonic", "-o", tmp_path / "out")
+        found = handed("bayes_rs.noise.calibrating:calibrate", command, *handed.mine, *words)
+        assert (found["method"], found["turbulence"], found["sonic"]) == ("boxes", "iec-b", True)
+
     def test_plan(self, handed):
         words = ("6-beam", "--opening-angle", 40, "--turbulence", "iec-b", "--wind-speed", 7, "--duration", 300)
         found = handed("bayes_rs.design.planning:plan", "plan", *words, "--prior", "flat", "--ess", 50)
