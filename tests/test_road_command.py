@@ -19,6 +19,7 @@ from bayes_rs.cli.options import FieldOption, refuse_given
 from bayes_rs.fits.fit_options import NoiseOptions
 from bayes_rs.fits.fitting import split_options
 from bayes_rs.fits.settings import SECTIONS, InputOptions, Settings
+from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.options import options_of
@@ -341,6 +342,18 @@ class TestRun:
         assert out[-1].startswith("1 of 1 records fitted")
         assert brs.open_fit(tmp_path / "two").run["source_files"] == ["second.nc"]
 
+    def test_what_the_command_line_says_of_the_scan_counts(self, settings_of_fit, scene, tmp_path):
+        scan = brs.load_scan(scene / "mine.toml", tilt_deg=2.0)
+        named = {
+            "scan": str(scene / "mine.toml"),
+            "scan_toml": scan_text(scan),
+            "settings": {"scan": {"tilt_deg": 2.0}},
+        }
+        (tmp_path / "run.json").write_text(json.dumps(named))
+        assert settings_of_fit(tmp_path / "run.json").scan.load().tilt == scan.tilt
+        found = settings_of_fit(tmp_path / "run.json", "--tilt", 5).scan.load()
+        assert found.tilt == pytest.approx(np.deg2rad(5.0))
+
     def test_how_bad_files_are_met_is_no_part_of_the_key(self, bayes_rs, scene, tmp_path):
         words = ("fit", scene / "day.csv", "--scan", scene / "mine.toml", *QUICK, "-o", tmp_path / "out")
         assert bayes_rs(*words)[0] == 0
@@ -522,6 +535,12 @@ class TestOtherCommands:
         )
         assert found[name] == value
         assert found["scan"].yaw == pytest.approx(np.deg2rad(5.0))
+
+    @pytest.mark.parametrize("command", ["fit", "sensitivity"])
+    def test_noise_that_is_made_for_records(self, command, handed, tmp_path):
+        words = ("--noise-method", "boxes", "--turbulence", "iec-b", "--target", "sonic", "-o", tmp_path / "out")
+        found = handed("bayes_rs.noise.calibrating:calibrate", command, *handed.mine, *words)
+        assert (found["method"], found["turbulence"], found["sonic"]) == ("boxes", "iec-b", True)
 
     def test_plan(self, handed):
         words = ("6-beam", "--opening-angle", 40, "--turbulence", "iec-b", "--wind-speed", 7, "--duration", 300)
