@@ -133,7 +133,7 @@ class TestRadialSpectra:
         velocity = autoregressive(0.7, 3, 600, 1)
         series = series_of(velocity, 1.0)
         records = brs.make_records(series, STARING)
-        spectra = brs.radial_spectra(series, STARING, records)
+        spectra = brs.spectra.radial_spectra(series, STARING, records)
         assert spectra["spectrum"].sum("frequency").values / 600.0 == pytest.approx(records["variance"].values)
         assert spectra["variance"].values == pytest.approx(records["variance"].values)
         assert spectra["frequency"].values[[0, -1]] == pytest.approx([1.0 / 600.0, 0.5])
@@ -141,7 +141,9 @@ class TestRadialSpectra:
     def test_a_sine_has_its_power_at_its_frequency(self):
         wave = 2.0 * np.sin(2.0 * np.pi * 30 * np.arange(600) / 600.0)[None] + 5.0
         series = series_of(wave, 1.0)
-        spectrum = brs.radial_spectra(series, STARING, brs.make_records(series, STARING))["spectrum"].values[0, 0]
+        spectrum = brs.spectra.radial_spectra(series, STARING, brs.make_records(series, STARING))["spectrum"].values[
+            0, 0
+        ]
         assert spectrum[29] / 600.0 == pytest.approx(2.0)  # amplitude² / 2
         assert np.delete(spectrum, 29).max() < 1e-20
 
@@ -154,7 +156,7 @@ class TestRadialSpectra:
         velocity[:, [0, -1]] = autoregressive(phi, n_record, n, 2)[:, [0, -1]]
         series = series_of(velocity, 4.0)
         records = brs.make_records(series, staring(4.0), min_availability=0.5)
-        spectra = brs.radial_spectra(series, staring(4.0), records, tapers=tapers)
+        spectra = brs.spectra.radial_spectra(series, staring(4.0), records, tapers=tapers)
         for pattern in range(3):
             some = spectra["spectrum"].values[pattern::3, 0]
             expected = lag_windows(there[pattern], 4.0, tapers) @ phi ** np.arange(n)
@@ -170,7 +172,7 @@ class TestRadialSpectra:
         cnr[100:150] = -30.0
         series = series.assign(cnr=("sample", cnr))
         records = brs.make_records(series, STARING, quality=brs.QualityRules(cnr_range=(-23.0, 10.0)))
-        spectra = brs.radial_spectra(series, STARING, records)
+        spectra = brs.spectra.radial_spectra(series, STARING, records)
         assert int(spectra["count"].values[0, 0]) == int(records["count"].values[0, 0]) == 550
         assert np.all(np.isnan(spectra["radial_velocity"].values[0, 0, 100:150]))
         assert spectra["variance"].values == pytest.approx(records["variance"].values)
@@ -179,34 +181,34 @@ class TestRadialSpectra:
         velocity = autoregressive(0.7, 2, 600, 3)
         velocity[1, 100:] = np.nan
         series = series_of(velocity, 1.0)
-        spectra = brs.radial_spectra(series, STARING, brs.make_records(series, STARING))
+        spectra = brs.spectra.radial_spectra(series, STARING, brs.make_records(series, STARING))
         assert np.isfinite(spectra["spectrum"].values[0]).all()
         assert np.isnan(spectra["spectrum"].values[1]).all()
-        fit = brs.fit_spectra(spectra, STARING, progress=False)
+        fit = brs.spectra.fit_spectra(spectra, STARING, progress=False)
         assert np.isfinite(fit["length_scale"].values).tolist() == [True, False]
 
     def test_jitter_is_taken_to_slots_and_uneven_times_are_refused(self):
         velocity = autoregressive(0.7, 1, 150, 3)
-        even = brs.radial_spectra(
+        even = brs.spectra.radial_spectra(
             series := series_of(velocity, 4.0), staring(4.0), brs.make_records(series, staring(4.0))
         )
         shaken = series_of(velocity, 4.0, jitter=0.1)
-        other = brs.radial_spectra(shaken, staring(4.0), brs.make_records(shaken, staring(4.0)))
+        other = brs.spectra.radial_spectra(shaken, staring(4.0), brs.make_records(shaken, staring(4.0)))
         assert other["spectrum"].values == pytest.approx(even["spectrum"].values, rel=1e-3)  # that of the interval
         assert 0.01 < float(other["timing_spread"].max()) < 0.05  # uniform over 0.1: 0.029
         wild = series_of(velocity, 4.0, jitter=0.99)
         with pytest.raises(brs.InputError, match=r"not evenly spaced: they lie 0\.2"):
-            brs.radial_spectra(wild, staring(4.0), brs.make_records(wild, staring(4.0)))
+            brs.spectra.radial_spectra(wild, staring(4.0), brs.make_records(wild, staring(4.0)))
 
     def test_input_is_checked(self):
         series = series_of(autoregressive(0.7, 1, 600, 3), 1.0)
         records = brs.make_records(series, STARING)
         with pytest.raises(brs.InputError, match="Invalid tapers 50"):
-            brs.radial_spectra(series, STARING, records, tapers=50)
+            brs.spectra.radial_spectra(series, STARING, records, tapers=50)
         with pytest.raises(brs.InputError, match="do not say how they were made"):
-            brs.radial_spectra(series, STARING, records.assign_attrs(duration=600.0).drop_attrs())
+            brs.spectra.radial_spectra(series, STARING, records.assign_attrs(duration=600.0).drop_attrs())
         with pytest.raises(brs.InputError, match="have no spectrum with dims"):
-            brs.average_spectra(records)
+            brs.spectra.average_spectra(records)
 
 
 class TestAverages:
@@ -214,14 +216,16 @@ class TestAverages:
     def test_the_band_holds_the_expected_spectrum_as_often_as_it_says(self, tapers):
         phi, groups, size, n = 0.6, 60, 5, 150
         series = series_of(autoregressive(phi, groups * size, n, 7), 4.0)
-        spectra = brs.radial_spectra(series, staring(4.0), brs.make_records(series, staring(4.0)), tapers=tapers)
+        spectra = brs.spectra.radial_spectra(
+            series, staring(4.0), brs.make_records(series, staring(4.0)), tapers=tapers
+        )
         expected = lag_windows(np.ones(n, dtype=bool), 4.0, tapers) @ phi ** np.arange(n)
-        truth = brs.average_spectra(
+        truth = brs.spectra.average_spectra(
             spectra.isel(record=[0]).assign(spectrum=(("record", "beam", "frequency"), expected[None, None]))
         )["spectrum"].values[0]
         held = []
         for group in range(groups):
-            one = brs.average_spectra(spectra, records=slice(group * size, (group + 1) * size))
+            one = brs.spectra.average_spectra(spectra, records=slice(group * size, (group + 1) * size))
             held.append((one["low"].values[0] <= truth) & (truth <= one["high"].values[0]))
         # 60 groups of 17 bins, nearly independent: standard error 0.0094, four of them, and 0.02 for the level of a
         # record, whose scatter counts as if records differed
@@ -229,8 +233,8 @@ class TestAverages:
 
     def test_more_records_make_it_narrower(self):
         series = series_of(autoregressive(0.6, 20, 150, 8), 4.0)
-        spectra = brs.radial_spectra(series, staring(4.0), brs.make_records(series, staring(4.0)))
-        few, many = brs.average_spectra(spectra, records=slice(0, 2)), brs.average_spectra(spectra)
+        spectra = brs.spectra.radial_spectra(series, staring(4.0), brs.make_records(series, staring(4.0)))
+        few, many = brs.spectra.average_spectra(spectra, records=slice(0, 2)), brs.spectra.average_spectra(spectra)
         ratio = many["dof"].values / few["dof"].values
         assert np.all((ratio > 8.0) & (ratio < 10.5))  # twenty over two, less what unequal variances cost
 
@@ -307,8 +311,8 @@ def recovered():
     scan = staring(4.0)
     series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=160, seed=21)
     records = brs.make_records(series, scan)
-    spectra = brs.radial_spectra(series, scan, records)
-    return scan, records, spectra, brs.fit_spectra(spectra, scan, progress=False)
+    spectra = brs.spectra.radial_spectra(series, scan, records)
+    return scan, records, spectra, brs.spectra.fit_spectra(spectra, scan, progress=False)
 
 
 class TestMannFit:
@@ -322,11 +326,11 @@ class TestMannFit:
 
     def test_many_records_pin_it_down(self, recovered):
         _, _, _, fit = recovered
-        pooled = brs.pool_length_scale(fit)
+        pooled = brs.spectra.pool_length_scale(fit)
         width = float(pooled["length_scale_log_sd"][0])
         assert width < 0.09
         assert abs(np.log(float(pooled["length_scale"][0]) / 61.0)) < 3.5 * width
-        by_half = brs.pool_length_scale(fit, np.arange(160) % 2)
+        by_half = brs.spectra.pool_length_scale(fit, np.arange(160) % 2)
         assert by_half["n_record"].values.tolist() == [80, 80]
         assert by_half["length_scale_log_sd"].values == pytest.approx(np.sqrt(2.0) * width, rel=0.35)
 
@@ -346,23 +350,23 @@ class TestMannFit:
     def test_other_length_scales_are_told_apart(self, flow, speed):
         scan, flow = staring(2.0), brs.load_turbulence(flow)
         series = brs.simulate(scan, flow, wind_speed=speed, n_records=60, seed=5)
-        spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-        pooled = brs.pool_length_scale(brs.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False))
+        spectra = brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan))
+        pooled = brs.spectra.pool_length_scale(brs.spectra.fit_spectra(spectra, scan, gamma=flow.gamma, progress=False))
         width = float(pooled["length_scale_log_sd"][0])
         assert abs(np.log(float(pooled["length_scale"][0]) / flow.length_scale)) < 3.5 * width < 0.6
 
     def test_the_dimension_of_gamma_is_averaged_over(self, recovered):
         scan, _, spectra, fit = recovered
         some = spectra.isel(record=slice(0, 4))
-        both = brs.fit_spectra(some, scan, gamma=[2.2, 3.2, 4.2], progress=False)
+        both = brs.spectra.fit_spectra(some, scan, gamma=[2.2, 3.2, 4.2], progress=False)
         assert np.all((both["gamma"].values > 2.2) & (both["gamma"].values < 4.2))
         assert np.all(both["gamma_sd"].values > 0.5)  # one beam hardly sees it: uniform on three nodes has 0.82
-        alone = brs.fit_spectra(some, scan, gamma=[3.2], progress=False)
+        alone = brs.spectra.fit_spectra(some, scan, gamma=[3.2], progress=False)
         assert alone["length_scale"].values == pytest.approx(fit["length_scale"].values[:4], rel=0.02)
 
     def test_records_do_not_depend_on_the_numbers_beside_them_but_through_the_ratio(self, recovered):
         scan, _, spectra, fit = recovered
-        other = brs.fit_spectra(spectra.isel(record=slice(0, 3)), scan, progress=False)
+        other = brs.spectra.fit_spectra(spectra.isel(record=slice(0, 3)), scan, progress=False)
         ratio = other.attrs["information_ratio"][0] / fit.attrs["information_ratio"][0]
         assert ratio == pytest.approx(1.0, abs=0.1)
         assert other["expected"].values == pytest.approx(fit["expected"].values[:3], rel=0.02)
@@ -376,31 +380,33 @@ class TestMannFit:
             ({"length_scale_prior": (0.0, 1.0)}, "Invalid length_scale_prior 0.0 m in its median"),
         ):
             with pytest.raises(brs.InputError, match=words):
-                brs.fit_spectra(spectra, scan, **options)
+                brs.spectra.fit_spectra(spectra, scan, **options)
         with pytest.raises(brs.InputError, match="one label for each of the 160 records"):
-            brs.pool_length_scale(fit, [1, 2])
+            brs.spectra.pool_length_scale(fit, [1, 2])
         with pytest.raises(brs.InputError, match="nothing to fit"):
-            brs.fit_spectra(spectra.assign(wind_speed=np.nan * spectra["wind_speed"]), scan)
+            brs.spectra.fit_spectra(spectra.assign(wind_speed=np.nan * spectra["wind_speed"]), scan)
 
 
 class TestFeedingTheNoise:
     def test_records_get_their_own_length_scale(self, recovered):
         _, records, _, fit = recovered
-        with_own = brs.with_length_scale(records, fit)
+        with_own = brs.spectra.with_length_scale(records, fit)
         assert with_own["length_scale"].values == pytest.approx(fit["length_scale"].values)
         assert "gamma" not in with_own
-        one = brs.with_length_scale(records, fit, brs.pool_length_scale(fit))
+        one = brs.spectra.with_length_scale(records, fit, brs.spectra.pool_length_scale(fit))
         assert np.ptp(one["length_scale"].values) == 0.0
         broken = fit.assign(length_scale=fit["length_scale"].where(fit["length_scale"]["record"] != 3))
-        filled = brs.with_length_scale(records, broken)
+        filled = brs.spectra.with_length_scale(records, broken)
         assert filled.attrs["length_scale_from_others"] == 1
-        assert filled["length_scale"].values[3] == pytest.approx(float(brs.pool_length_scale(fit)["length_scale"][0]))
+        assert filled["length_scale"].values[3] == pytest.approx(
+            float(brs.spectra.pool_length_scale(fit)["length_scale"][0])
+        )
         with pytest.raises(brs.InputError, match="not of these records"):
-            brs.with_length_scale(records.isel(record=slice(0, 5)), fit)
+            brs.spectra.with_length_scale(records.isel(record=slice(0, 5)), fit)
 
     def test_the_noise_of_the_fit_follows_it(self, recovered):
         scan, records, _, fit = recovered
-        some = brs.with_length_scale(records, fit).isel(record=slice(0, 6))
+        some = brs.spectra.with_length_scale(records, fit).isel(record=slice(0, 6))
         scale = some["length_scale"].values
         bank = brs.noise.calibrate(
             scan, FLOW, records=some, length_scale=[float(scale.min()), float(scale.max())], progress=False
@@ -409,7 +415,9 @@ class TestFeedingTheNoise:
             some["wind_speed"].values, np.deg2rad(some["yaw"].values), length_scale=scale, gamma=np.full(6, 3.2)
         )
         own = brs.fit(some, scan, noise=bank, seed=1, sampler="direct", progress=False)
-        common = brs.with_length_scale(records, fit, brs.pool_length_scale(fit)).isel(record=slice(0, 6))
+        common = brs.spectra.with_length_scale(records, fit, brs.spectra.pool_length_scale(fit)).isel(
+            record=slice(0, 6)
+        )
         plain = brs.fit(common, scan, noise=bank, seed=1, sampler="direct", progress=False)
         order = np.argsort(scale)
         assert np.all(np.diff(noise.covariance[order, 0, 0]) > 0.0)  # larger eddies, fewer of them in a record
@@ -427,9 +435,9 @@ class TestAlongWind:
     def test_beams_at_angles_give_the_spectrum_of_u(self):
         scan, speed = brs.load_scan("pulsed-4-beam"), 10.0
         series = brs.simulate(scan, FLOW, wind_speed=speed, n_records=120, seed=3)
-        spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-        fit = brs.fit_spectra(spectra, scan, instrument_noise_sd=0.0, progress=False)
-        along = brs.along_wind_spectra(spectra, scan, fit)
+        spectra = brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan))
+        fit = brs.spectra.fit_spectra(spectra, scan, instrument_noise_sd=0.0, progress=False)
+        along = brs.spectra.along_wind_spectra(spectra, scan, fit)
         n = spectra.sizes["slot"]
         u = scaled_autocovariance(
             np.array([1.0, 0.0, 0.0]),
@@ -450,9 +458,9 @@ class TestAlongWind:
 class TestPicture:
     def test_a_panel_for_each_beam_with_measured_band_and_fitted_curve(self, recovered, tmp_path):
         _, _, spectra, fit = recovered
-        figure = brs.plot_spectra(spectra, fit)
+        figure = brs.spectra.plot_spectra(spectra, fit)
         (panel,) = figure.axes
-        averages = brs.average_spectra(spectra)
+        averages = brs.spectra.average_spectra(spectra)
         measured = panel.lines[0]
         assert measured.get_xdata() == pytest.approx(averages["frequency"].values)
         assert measured.get_ydata() == pytest.approx((averages["frequency"] * averages["spectrum"]).values.ravel())
@@ -462,4 +470,4 @@ class TestPicture:
         assert float(inside.mean()) > 0.6
         figure.savefig(tmp_path / "spectra.png")
         with pytest.raises(brs.InputError, match="not of these spectra"):
-            brs.plot_spectra(spectra.isel(record=[0]), fit)
+            brs.spectra.plot_spectra(spectra.isel(record=[0]), fit)

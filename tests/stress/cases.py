@@ -18,6 +18,7 @@ import bayes_rs as brs
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.posteriors.diagnostics import ess_bulk, ess_tail, r_hat
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 EPS = np.finfo(np.float64).eps
@@ -90,25 +91,28 @@ def directions_and_radial_variances(rng: np.random.Generator) -> None:
             exact_variance.append(float((n * tensor * n.T)[0]))
     np.testing.assert_allclose(scan.line_of_sight, exact_direction, rtol=0.0, atol=8.0 * EPS)
     size = np.abs(stress[:3]).max()
-    np.testing.assert_allclose(brs.radial_variance(scan, stress), exact_variance, rtol=0.0, atol=64.0 * EPS * size)
+    np.testing.assert_allclose(
+        brs.geometry.radial_variance(scan, stress), exact_variance, rtol=0.0, atol=64.0 * EPS * size
+    )
 
 
 def laws_of_radial_variances(rng: np.random.Generator) -> None:
     """Rotation of everything, n → −n, scaling, order of beams, and the mirror image."""
     scan, stress, q = random_scan(rng), random_tensor(rng), random_rotation(rng)
     n = scan.line_of_sight
-    variance = brs.design_matrix(n) @ stress
+    variance = brs.geometry.design_matrix(n) @ stress
     tolerance = 128.0 * EPS * np.abs(stress[:3]).max()
     for other in (
-        brs.design_matrix(n @ q) @ brs.rotate_stress(stress, q),
-        brs.design_matrix(-n) @ stress,
-        brs.design_matrix(n * [1.0, -1.0, 1.0]) @ (stress * [1, 1, 1, -1, 1, -1]),
-        brs.design_matrix(n) @ (stress * 2.0**40) / 2.0**40,
+        brs.geometry.design_matrix(n @ q) @ brs.geometry.rotate_stress(stress, q),
+        brs.geometry.design_matrix(-n) @ stress,
+        brs.geometry.design_matrix(n * [1.0, -1.0, 1.0]) @ (stress * [1, 1, 1, -1, 1, -1]),
+        brs.geometry.design_matrix(n) @ (stress * 2.0**40) / 2.0**40,
     ):
         np.testing.assert_allclose(other, variance, rtol=0.0, atol=tolerance)
     order = rng.permutation(scan.n_beam)
     np.testing.assert_array_equal(
-        brs.radial_variance(scan.select(scan.beam[order]), stress), brs.radial_variance(scan, stress)[order]
+        brs.geometry.radial_variance(scan.select(scan.beam[order]), stress),
+        brs.geometry.radial_variance(scan, stress)[order],
     )
     assert np.all(variance >= -tolerance), "a realizable tensor has a negative variance"
 
@@ -121,10 +125,14 @@ def principal_variances(rng: np.random.Generator) -> None:
         values = mpmath.eigsy(mpmath.matrix([[uu, uv, uw], [uv, vv, vw], [uw, vw, ww]]), eigvals_only=True)
         exact = sorted(float(value) for value in values)
     size = max(abs(exact[0]), abs(exact[-1]))
-    np.testing.assert_allclose(np.sort(brs.principal_variances(stress)), exact, rtol=0.0, atol=32.0 * EPS * size)
-    turned = brs.rotate_stress(stress, q)
-    np.testing.assert_allclose(np.sort(brs.principal_variances(turned)), exact, rtol=0.0, atol=128.0 * EPS * size)
-    np.testing.assert_array_equal(brs.pack_stress(brs.unpack_stress(stress)), stress)
+    np.testing.assert_allclose(
+        np.sort(brs.geometry.principal_variances(stress)), exact, rtol=0.0, atol=32.0 * EPS * size
+    )
+    turned = brs.geometry.rotate_stress(stress, q)
+    np.testing.assert_allclose(
+        np.sort(brs.geometry.principal_variances(turned)), exact, rtol=0.0, atol=128.0 * EPS * size
+    )
+    np.testing.assert_array_equal(brs.geometry.pack_stress(brs.geometry.unpack_stress(stress)), stress)
 
 
 def toeplitz_sums(rng: np.random.Generator) -> None:
@@ -184,7 +192,7 @@ def isotropic_covariances(rng: np.random.Generator) -> None:
         energy = mpmath.beta(mpmath.mpf(5) / 2, third) / 2
         variance = float(2 * third * energy) * flow.dissipation * flow.length_scale ** (2.0 / 3.0)
     np.testing.assert_allclose(uu, variance, rtol=1e-8)
-    found = brs.velocity_covariance(apart, flow) / uu
+    found = brs.turbulence.velocity_covariance(apart, flow) / uu
     np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-4)  # the tolerance that it is asked for
 
 
@@ -196,7 +204,7 @@ def covariances_of_places(rng: np.random.Generator) -> None:
     n = int(rng.integers(2, 7))
     place = rng.standard_normal((n, 3)) * flow.length_scale * 10.0 ** rng.uniform(-3.0, 1.0)
     apart = place[None] - place[:, None]
-    found = brs.velocity_covariance(apart, flow) / flow.stresses()[0]
+    found = brs.turbulence.velocity_covariance(apart, flow) / flow.stresses()[0]
     np.testing.assert_allclose(found, found.swapaxes(0, 1), rtol=0.0, atol=2e-4)
     whole = found.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
     lowest = np.linalg.eigvalsh(0.5 * (whole + whole.T))[0]
@@ -244,7 +252,7 @@ def likelihoods_in_high_precision(rng: np.random.Generator) -> None:
     """The log-normal density with any well-posed beams, in 50 digits."""
     n_beam = int(rng.integers(1, 7))
     scan = random_scan(rng, n_beam)
-    matrix = brs.design_matrix(scan)
+    matrix = brs.geometry.design_matrix(scan)
     if np.linalg.cond(matrix @ matrix.T) > 1e8:
         return  # beams nearly alike: reduced to what they see, a different density
     covariance = random_covariance(rng, n_beam)
@@ -301,7 +309,7 @@ def laws_of_likelihoods(rng: np.random.Generator) -> None:
     """Order of beams, units and n → −n change differences of the log-likelihood by rounding only."""
     n_beam = int(rng.integers(2, 12))
     scan = random_scan(rng, n_beam, widest=1.2)
-    matrix = brs.design_matrix(scan.line_of_sight)
+    matrix = brs.geometry.design_matrix(scan.line_of_sight)
     root = rng.standard_normal((n_beam, 2 * n_beam)) * 0.1
     covariance = root @ root.T / (2 * n_beam) + 0.01 * np.eye(n_beam)
     stress = np.array([random_tensor(rng, log_size=0.5) + SMALL for _ in range(3)])
@@ -318,7 +326,7 @@ def laws_of_likelihoods(rng: np.random.Generator) -> None:
     scale = 1.0 + np.abs(first)
     others = [
         differences(variance[order], matrix[order], covariance[np.ix_(order, order)], used[order], stress),
-        differences(variance, brs.design_matrix(-scan.line_of_sight), covariance, used, stress),
+        differences(variance, brs.geometry.design_matrix(-scan.line_of_sight), covariance, used, stress),
         differences(size * variance, matrix, covariance, used, size * stress),
     ]
     for other in others:
@@ -328,13 +336,13 @@ def laws_of_likelihoods(rng: np.random.Generator) -> None:
 def priors_give_realizable_tensors(rng: np.random.Generator) -> None:
     """Any coordinates give a tensor that is realizable to rounding, with a finite density."""
     name = str(rng.choice(["weak", "flat", "ratio:vv=0.7,ww=0.4", "mann"]))
-    prior = brs.make_prior(name)
+    prior = brs.priors.make_prior(name)
     coordinate = rng.standard_normal((50, prior.n_coordinate)) * 10.0 ** rng.uniform(-1.0, 0.5)
     stress = prior.stress(coordinate)
     density = prior.log_density(coordinate)
     assert np.all(np.isfinite(stress)), name
     assert not np.any(np.isnan(density)), name
-    lowest = brs.principal_variances(stress).min(axis=-1)
+    lowest = brs.geometry.principal_variances(stress).min(axis=-1)
     assert np.all(lowest >= -64.0 * EPS * stress[:, :3].sum(axis=-1)), (name, lowest.min())
 
 
@@ -342,7 +350,7 @@ def estimators_recover_exact_variances(rng: np.random.Generator) -> None:
     """Variances without error give back the stresses, whatever scan sees them all, wind direction and units."""
     scan = random_scan(rng, int(rng.integers(6, 12)))
     stress, yaw = random_tensor(rng), rng.uniform(-180.0, 180.0)
-    matrix = brs.design_matrix(scan.at_yaw(np.deg2rad(yaw)))
+    matrix = brs.geometry.design_matrix(scan.at_yaw(np.deg2rad(yaw)))
     condition = np.linalg.cond(matrix)
     if condition > 1e6:
         return
@@ -389,7 +397,7 @@ def posteriors_follow_their_data(rng: np.random.Generator) -> None:
     scan = random_scan(rng, int(rng.integers(3, 8)), widest=0.8).with_yaw(0.0)
     noise = plain_noise(scan, relative_variance=10.0 ** rng.uniform(-2.5, -0.7), reach=10.0 ** rng.uniform(0.5, 2.5))
     truth = random_tensor(rng, log_size=0.5) + SMALL
-    variance = brs.design_matrix(scan) @ truth * np.exp(0.1 * rng.standard_normal(scan.n_beam))
+    variance = brs.geometry.design_matrix(scan) @ truth * np.exp(0.1 * rng.standard_normal(scan.n_beam))
     size = 10.0 ** rng.uniform(-6.0, 6.0)
     order = rng.permutation(scan.n_beam)
     mixed = scan.select(scan.beam[order])
@@ -400,7 +408,7 @@ def posteriors_follow_their_data(rng: np.random.Generator) -> None:
     ]
     tables = []
     for data, of, with_noise, unit in fits:
-        prior = brs.WeakPrior(median_uu=unit)  # the prior has a size, too
+        prior = brs.priors.WeakPrior(median_uu=unit)  # the prior has a size, too
         seed = int(rng.integers(1000))
         result = brs.fit(records_of(data[None], of), of, noise=with_noise, seed=seed, sampler="auto", prior=prior)
         table = result.summary().set_index("stress")
@@ -420,7 +428,7 @@ def diagnostics_do_not_know_units(rng: np.random.Generator) -> None:
     )
     x = np.round(x * 2.0**20) / 2.0**20  # so that a shift is exact, and makes and breaks no ties
     factor, shift = float(rng.choice([-1.0, 1.0])) * 2.0 ** int(rng.integers(-20, 20)), 2.0 ** int(rng.integers(-3, 3))
-    for of in (brs.ess_bulk, brs.ess_tail, lambda y: brs.r_hat(y, 2)):
+    for of in (ess_bulk, ess_tail, lambda y: r_hat(y, 2)):
         np.testing.assert_allclose(of(factor * x), of(x), rtol=1e-9)
         np.testing.assert_allclose(of(x + shift), of(x), rtol=1e-9)
 
