@@ -240,7 +240,7 @@ class TestBoxes:
 
 def expected_variance_in_boxes(noise, turbulence, grid):
     tensor = BoxMaker(turbulence, grid).tensor
-    n = load_scan("4-beam", opening_angle_deg=30.0).at_yaw(noise.yaw)
+    n = load_scan("4-beam", opening_angle_deg=30.0).at_yaw(noise.yaw[0])
     return (1.0 + noise.bias[0]) * np.einsum("bi,ij,bj->b", n, tensor, n)
 
 

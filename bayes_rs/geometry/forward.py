@@ -18,7 +18,7 @@ RANK_TOLERANCE = 1e-9
 """A singular value below this fraction of the largest counts as zero: directions are stored to about 1e-16."""
 
 
-def design_matrix(scan: Scan | Path | ArrayLike) -> FloatArray:
+def design_matrix(scan: Scan | str | Path | ArrayLike) -> FloatArray:
     """Return the matrix that maps the six stresses to radial variances.
 
     Parameters
@@ -53,8 +53,8 @@ def design_matrix(scan: Scan | Path | ArrayLike) -> FloatArray:
     array([[ 1.  ,  0.  ,  0.  , -0.  , -0.  ,  0.  ],
            [ 0.36,  0.  ,  0.64, -0.  , -0.96,  0.  ]])
     """
-    named = isinstance(scan, Scan | str | Path)
-    vectors = as_scan(scan).line_of_sight if named else np.asarray(scan, dtype=np.float64)
+    scan = as_scan(scan) if isinstance(scan, str | Path) else scan
+    vectors = scan.line_of_sight if isinstance(scan, Scan) else np.asarray(scan, dtype=np.float64)
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
     first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -63,7 +63,7 @@ def design_matrix(scan: Scan | Path | ArrayLike) -> FloatArray:
     )
 
 
-def radial_variance(scan: Scan | Path | ArrayLike, stress: ArrayLike) -> FloatArray:
+def radial_variance(scan: Scan | str | Path | ArrayLike, stress: ArrayLike) -> FloatArray:
     """Return the radial variance n·R n of each beam.
 
     Parameters
@@ -128,7 +128,7 @@ class Sight:
         return "; ".join(parts)
 
 
-def sight(scan: Scan | Path | ArrayLike) -> Sight:
+def sight(scan: Scan | str | Path | ArrayLike) -> Sight:
     """Work out what the beams can see of R.
 
     Parameters

@@ -9,6 +9,7 @@ from scenes import draw_variances, plain_noise, records_of
 from bayes_rs import NotPositiveDefiniteError, fit, load_scan
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.forward import design_matrix, radial_variance
+from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.priors.registry import FlatPrior
@@ -112,8 +113,13 @@ def test_noise_that_is_singular_is_refused():
     scan = load_scan("6-beam", opening_angle_deg=45.0)
     noise = given_noise(scan, np.full((6, 6), 0.06))
     variance = radial_variance(scan, np.array([[1.0, 0.6, 0.4, 0.1, -0.2, 0.0]]))
+    shape = (1, scan.n_beam)
+    gain = np.broadcast_to(noise.gain, (*shape, 6))
     with pytest.raises(NotPositiveDefiniteError, match="The noise of record 0 is singular: the smallest eigenvalue"):
-        fitted(records_of(variance, scan), scan, noise)
+        log_normal_likelihood(variance, np.ones(shape, dtype=bool), gain, noise.covariance)
+    found, _ = fitted(records_of(variance, scan), scan, noise)
+    assert found.flags["likelihood_failed"] == 1  # and other records would be fitted
+    assert found.n_fitted == 0
 
 
 def test_a_beam_twice_with_the_same_data_changes_nothing():
