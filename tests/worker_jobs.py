@@ -64,4 +64,5 @@ def slow(_shared, part):
 def log_and_sleep(folder, part):
     (folder / str(os.getpid())).touch()
     time.sleep(0.2 if part == 0 else 60.0)
+    folder.with_name(f"{folder.name}-ended-{part}").touch()
     return part
