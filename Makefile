@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 SECONDS ?= 3600
 
-.PHONY: demo test test-long stress check docs benchmarks notebooks data noise clean
+.PHONY: demo test test-long test-durations stress check docs benchmarks notebooks data noise clean
 
 demo: $(VENV)/installed
 	$(ENV) $(BIN)/bayes-rs demo --overwrite
@@ -21,6 +21,11 @@ test: $(VENV)/installed-test
 
 test-long: $(VENV)/installed-test
 	$(ENV) $(BIN)/python -m pytest -n 2 -m long $(PYTEST_OPTIONS)
+
+# every test that takes a second or more, slowest first
+test-durations: $(VENV)/installed-test
+	$(ENV) $(BIN)/python -m pytest -n 2 --dist loadfile --durations=0 --durations-min=1 -q \
+		| grep -E '^[0-9.]+s (call|setup|teardown) ' > tests/durations.txt
 
 # random cases against references and laws, for as long as told
 stress: $(VENV)/installed-test

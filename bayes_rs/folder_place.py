@@ -91,7 +91,7 @@ def check_free(final: Path, *, overwrite: bool) -> None:
     if not final.exists():
         return
     if not overwrite:
-        raise InputError(f"Output folder {str(final)!r} exists: give another name, or --overwrite to replace it.")
+        raise InputError(f"Output folder {str(final)!r} exists: give another name, or overwrite it (--overwrite).")
     check_ours(final)
 
 

@@ -207,7 +207,7 @@ def _check_no_file(final: Path, *, overwrite: bool) -> None:
     if final.is_dir():
         raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
     if final.exists() and not overwrite:
-        raise InputError(f"File {str(final)!r} exists: give another name, or --overwrite to replace it.")
+        raise InputError(f"File {str(final)!r} exists: give another name, or overwrite it (--overwrite).")
 
 
 def check_output_folder(path: str | Path, *, overwrite: bool = False, inputs: Iterable[str | Path] = ()) -> None:

@@ -72,10 +72,6 @@ class ResultFolder:
         """Return the files that belong to the results and begin so, sorted: paths in the folder, with slashes."""
         return sorted(name for name in self._ledger.files.keys() - self._ledger.beside if name.startswith(prefix))
 
-    def lists(self, name: str, content: bytes) -> bool:
-        """Tell whether these are the bytes that were written to a file, whatever it holds now."""
-        return self._ledger.files.get(name) == fingerprint_of(content)
-
     def damage(self, name: str) -> str | None:
         """Say in a few words what is wrong with a file; None if it is there, with the bytes that were written."""
         return self._damage(name, None)

@@ -421,58 +421,10 @@ class TestShipped:
 
 
 class TestForRecords:
-    def records(self, wind_speed, yaw, duration=600.0):
-        return xr.Dataset({"wind_speed": ("record", wind_speed), "yaw": ("record", yaw)}, attrs={"duration": duration})
-
-    @pytest.mark.usefixtures("no_boxes")
-    def test_shipped(self):
-        noise = noise_for_records(
-            self.records([10.0, np.nan, 9.0], [0.0, 0.0, -3.0]), load_scan("6-beam"), FLOW, boxes=Boxes()
-        )
-        assert noise.in_words() == "noise: shipped, fu-2022, method boxes, 1 state (10 m/s, yaw 0°, L 61 m)"
-
-    @pytest.mark.usefixtures("no_boxes")
-    def test_shipped_bank_for_some_of_the_beams(self):
-        scan = load_scan("pulsed-4-beam@probe=point").select([2, 3])
-        speeds = np.append(np.linspace(3.0, 14.0, 19), 30.0)
-        yaws = np.linspace(-50.0, 50.0, 20)
-        noise = noise_for_records(self.records(speeds, yaws), scan, FLOW, boxes=Boxes())
-        words = noise.in_words(speeds, np.deg2rad(yaws))
-        assert noise.beam.tolist() == [2, 3]
-        assert words.startswith(
-            "noise: shipped, fu-2022, method boxes, 35 states (3 to 14 m/s, yaw -60 to 60°, L 61 m)"
-        )
-        assert words.endswith("1 of 20 records are outside and use its edge")
-
-    def test_calibrated_where_the_records_are(self, tmp_path, monkeypatch):
-        monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path))
-        monkeypatch.setattr(at_states_module, "noise_from_boxes", self.quick)
-        records = self.records([5.0, 5.2, 9.9, 10.3], [11.0, 12.0, 25.0, 28.0], duration=60.0)
-        noise = noise_for_records(records, load_scan("2-beam"), WIDE_EDDIES, boxes=Boxes())
-        assert np.unique(noise.wind_speed).tolist() == [round(10.0 / 1.4**2, 6), 10.0]
-        np.testing.assert_allclose(np.unique(np.rad2deg(noise.yaw)), [20.0])
-        assert noise.in_words().startswith("noise: calculated, ")
-
-    @pytest.mark.usefixtures("no_boxes")
-    def test_far_from_shipped_without_the_generator(self, monkeypatch):
-        monkeypatch.setitem(sys.modules, "hipersim", None)
-        noise = noise_for_records(self.records([4.0, 5.0], [0.0, 0.0]), load_scan("6-beam"), FLOW, boxes=Boxes())
-        assert noise.wind_speed.tolist() == [10.0]
-        words = noise.in_words([4.0, 5.0], [0.0, 0.0])
-        assert words.endswith("; 2 of 2 records are outside and use its nearest state")
-
-    def test_nothing_suitable_and_no_generator(self, monkeypatch):
-        monkeypatch.setitem(sys.modules, "hipersim", None)
-        with pytest.raises(MissingExtraError, match="pip install"):
-            noise_for_records(self.records([4.0], [0.0]), load_scan("zx-300"), FLOW, boxes=Boxes())
-
     def test_no_wind_speed(self):
+        records = xr.Dataset({"wind_speed": ("record", [np.nan]), "yaw": ("record", [0.0])}, attrs={"duration": 600.0})
         with pytest.raises(InputError, match="No record has a wind speed and direction"):
-            noise_for_records(self.records([np.nan], [0.0]), load_scan("6-beam"), FLOW, boxes=Boxes())
-
-    @staticmethod
-    def quick(states, turbulence, _n_boxes, seed, progress=None):
-        return noise_from_boxes(states, turbulence, 2, seed, progress, grid=GRID)
+            noise_for_records(records, load_scan("6-beam"), FLOW)
 
 
 def test_damaged_shipped_file_is_named(tmp_path, monkeypatch):

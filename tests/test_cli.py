@@ -390,7 +390,7 @@ class TestLongFit:
         numbers = (tmp_path / "out" / "summary.csv").read_bytes()
         shutil.rmtree(tmp_path / "out" / "posterior")
         (tmp_path / "out" / "summary.csv").unlink()
-        refusal(*long_fit("--draws", "none"), "exists: give another name, or --overwrite to replace it")
+        refusal(*long_fit("--draws", "none"), "exists: give another name, or overwrite it")
         code, _, err = long_fit("--draws", "none", "--resume")
         assert code == 0
         assert not any("records were finished by an earlier run" in line for line in err)

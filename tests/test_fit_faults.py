@@ -390,10 +390,14 @@ def test_signals_are_interrupts_too(made, tmp_path, monkeypatch):
             signal.raise_signal(signal.SIGINT)
         return fit_scene.FIT_PART(shared, part)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(fit_folder, "fit_part", fitting)
-        with pytest.raises(KeyboardInterrupt) as caught:
-            run(output=tmp_path / "out")
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background of a shell ignore it
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(fit_folder, "fit_part", fitting)
+            with pytest.raises(KeyboardInterrupt) as caught:
+                run(output=tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGINT, handler)
     assert f"{PART} of {N_RECORD} records are finished and kept in" in caught.value.__notes__[0]
     assert run(output=tmp_path / "out", resume=True).run["n_resumed"] == PART
     check_whole(tmp_path / "out", made)

@@ -324,9 +324,7 @@ class TestVersions:
         with monkeypatch.context() as patch:
             patch.setattr(plan, "version", lambda name: "1.0" if name == "scipy" else version(name))
             fit_to(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", **OPTIONS)
-        words = (
-            "is of a run that differs in packages, so it cannot be resumed: give the same, another name, or overwrite"
-        )
+        words = "is of a run that differs in scipy, so it cannot be resumed: give the same, another name, or overwrite"
         with pytest.raises(InputError, match=words):
             fit_to(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", resume=True, **OPTIONS)
         # the file that says so may be lost: the list of files knows it, too
@@ -455,7 +453,7 @@ class TestResume:
         before = parts(plain)
         with pytest.raises(InputError, match="from a run of the same data and options: resume to go on with it, or ov"):
             fit_to(records, SCAN, plain, **OPTIONS)
-        with pytest.raises(InputError, match=r"exists: give another name, or --overwrite to replace it"):
+        with pytest.raises(InputError, match=r"exists: give another name, or overwrite it"):
             fit_to(records, SCAN, plain, **{**OPTIONS, "seed": 9})
         assert parts(plain) == before
         (tmp_path / "mine").mkdir()

@@ -8,6 +8,7 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, Nuisances, compare_inflow, fit, load_scan, load_turbulence, make_records, simulate
+from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.forward import radial_variance
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
@@ -351,23 +352,20 @@ class TestYawOfRecords:
 
 
 class TestTurbulenceOfRecords:
-    def test_noise_that_does_not_know_it_is_refused(self):
+    def test_records_out_of_the_noises_reach_are_flagged(self):
         scan, noise, stress, rng = scene("6-beam", 19, 3)  # L = 61 m, Γ = 3.2
         records = records_of(draw_variances(stress, scan, noise, rng), scan)
         options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 100}
         plain = fit(records, scan, **options)["posterior/stress"].values
-        for name, own, words in (
-            ("length_scale", [61.0, 61.2, 70.0], r"Record 2 has a length_scale .*, 70 m, .* only 61 m: .*drop_vars"),
-            (
-                "gamma",
-                [2.0, 3.2, 3.2],
-                r"Record 0 has a gamma of its own, 2, .* only 3.2: .*noise.calibrate\(scan, records",
-            ),
+        for name, own, outside in (
+            ("length_scale", [61.0, 66.0, 68.0], [False, False, True]),
+            ("length_scale", [30.0, 30.0, 30.0], [True, True, True]),
+            ("gamma", [2.0, 3.2, 3.3], [True, False, False]),
         ):
-            with pytest.raises(InputError, match=words):
-                fit(records.assign({name: ("record", own)}), scan, **options)
-        near = records.assign(length_scale=("record", [61.0, 61.2, 60.8]), gamma=("record", [3.2, 3.2, 3.21]))
-        np.testing.assert_array_equal(fit(near, scan, **options)["posterior/stress"].values, plain)
+            found = fit(records.assign({name: ("record", own)}), scan, **options)
+            flag = found["sample_stats/flag"].values
+            assert (flag & FLAGS["outside_noise"] > 0).tolist() == outside
+            np.testing.assert_array_equal(found["posterior/stress"].values, plain)  # there is no other noise
 
 
 class TestRefusals:

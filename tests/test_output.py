@@ -67,14 +67,14 @@ class TestFolder:
 
     def test_an_existing_folder_is_refused_and_kept(self, tmp_path):
         final = earlier_run(tmp_path / "out")
-        with pytest.raises(InputError, match=r"Output folder '.*out' exists: give another name, or --overwrite"):
+        with pytest.raises(InputError, match=r"Output folder '.*out' exists: give another name, or overwrite it"):
             output_folder(final).__enter__()
         assert (final / "summary.csv").read_text() == "earlier"
         assert partials(tmp_path) == []
 
     def test_an_empty_folder_is_refused_too(self, tmp_path):
         (tmp_path / "out").mkdir()
-        with pytest.raises(InputError, match=r"exists: give another name, or --overwrite"):
+        with pytest.raises(InputError, match=r"exists: give another name, or overwrite it"):
             output_folder(tmp_path / "out").__enter__()
 
     def test_overwrite_replaces_an_earlier_run_whole(self, tmp_path):
@@ -183,7 +183,7 @@ class TestFile:
         assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
 
     def test_an_existing_file_is_refused_and_kept(self, regular_file):
-        with pytest.raises(InputError, match=r"File '.*file' exists: give another name, or --overwrite to replace it"):
+        with pytest.raises(InputError, match=r"File '.*file' exists: give another name, or overwrite it"):
             output_file(regular_file).__enter__()
         assert regular_file.read_text() == "text"
 

@@ -13,7 +13,8 @@ from bayes_rs import load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling.__init__ import sample
+from bayes_rs.posteriors.sampling import sample
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.priors.registry import FlatPrior
 
@@ -94,9 +95,8 @@ def ours(name, sampler, target_ess):
         np.broadcast_to(noise.gain[0], (*shape, 6)),
         np.broadcast_to(noise.covariance[0], (*shape, scan.n_beam)),
     )
-    chains, _ = sample(
-        sampler, Posterior(likelihood, prior), seed=1, keys=np.array([0]), target_ess=target_ess, max_extension=3
-    )
+    effort = Effort(seed=1, target_ess=target_ess, max_extension=3)
+    chains, _ = sample(sampler, Posterior(likelihood, prior), keys=np.array([0]), effort=effort)
     assert not chains.missed(target_ess).any()
     draws = chains.stress.reshape(-1, 6)
     return np.vstack([draws.mean(axis=0), draws.std(axis=0), np.quantile(draws, LEVELS, axis=0)])

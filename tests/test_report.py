@@ -425,7 +425,7 @@ class TestWriting:
     def test_the_default_place_is_the_folder_itself(self, tables, tmp_path):
         shutil.copytree(tables, tmp_path / "out")
         assert write_report(tmp_path / "out") == tmp_path / "out" / "report.html"
-        with pytest.raises(InputError, match=r"report.html' exists: give another name, or --overwrite to replace it"):
+        with pytest.raises(InputError, match=r"report.html' exists: give another name, or overwrite it"):
             write_report(tmp_path / "out")
         assert [path.name for path in (tmp_path / "out").glob(".*")] == []
 

@@ -345,7 +345,7 @@ class TestOverwriting:
         (place / "summary" / f"{HALF}part-000009.parquet").write_bytes(b"PAR1")
         with pytest.raises(InputError, match=r"exists, from a run of the same data and options: resume to go on"):
             BEGIN(place).__enter__()
-        with pytest.raises(InputError, match=r"exists: give another name, or --overwrite to replace it"):
+        with pytest.raises(InputError, match=r"exists: give another name, or overwrite it"):
             OTHER(place).__enter__()
         finished(place, OTHER, overwrite=True)
         assert listed(place.parent) == ["out"]

@@ -523,7 +523,7 @@ class TestOtherCommands:
             (("--wind-speed", 8, "--sonic"), "sonic", True),
             (("--wind-speed", 8), "method", "theory"),
             (
-                ("--wind-speed", 8, "--noise-method", "boxes", "--boxes", 7, "--seed", 9),
+                ("--wind-speed", 8, "--method", "boxes", "--boxes", 7, "--seed", 9),
                 "method",
                 brs.noise.Boxes(n_boxes=7, seed=9),
             ),
@@ -538,9 +538,9 @@ class TestOtherCommands:
 
     @pytest.mark.parametrize("command", ["fit", "sensitivity"])
     def test_noise_that_is_made_for_records(self, command, handed, tmp_path):
-        words = ("--noise-method", "boxes", "--turbulence", "iec-b", "--target", "sonic", "-o", tmp_path / "out")
+        words = ("--turbulence", "iec-b", "--target", "sonic", "-o", tmp_path / "out")
         found = handed("bayes_rs.noise.calibrating:calibrate", command, *handed.mine, *words)
-        assert (found["method"], found["turbulence"], found["sonic"]) == ("boxes", "iec-b", True)
+        assert (found["turbulence"], found["sonic"]) == ("iec-b", True)
 
     def test_plan(self, handed):
         words = ("6-beam", "--opening-angle", 40, "--turbulence", "iec-b", "--wind-speed", 7, "--duration", 300)

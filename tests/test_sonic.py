@@ -15,7 +15,6 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import is_realizable, pack_stress, unpack_stress
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
-from bayes_rs.noise.box_noise import Boxes
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.noise.choice import noise_for_records
@@ -442,11 +441,9 @@ class TestRefusals:
         assert found.n_fitted == 0
 
     def test_boxes(self, scene):
-        records, scan, _ = scene
+        _, scan, _ = scene
         with pytest.raises(InputError, match="only method='theory' has the joint moments"):
             calibrate(scan, SEED, wind_speed=10.0, method="boxes", sonic=True)
-        with pytest.raises(InputError, match="Invalid noise method 'boxes' for the target 'sonic'"):
-            noise_for_records(records, scan, SEED, boxes=Boxes(), sonic=True)
 
     def test_half_of_the_moments(self, scene):
         _, _, noise = scene

@@ -9,7 +9,6 @@ from typing import Any
 
 import xarray as xr
 
-from bayes_rs._version import __version__
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest, digest_parts
@@ -17,7 +16,7 @@ from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
-from bayes_rs.fits.plan import LAYOUT, number_versions, option_parts, plan_fit
+from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
 from bayes_rs.geometry.scan import Scan
@@ -148,9 +147,7 @@ def _key_parts(settings: Settings, scan: Scan, noise: Noise | None) -> dict[str,
     """Return the fingerprints of all that the results depend on beside the files, by what they are of."""
     reading = {name: value for name, value in settings.files.given().items() if name != "on_bad_file"}
     return digest_parts(
-        version=__version__,
-        packages=number_versions(),
-        layout_of_the_tables=LAYOUT,
+        **version_parts(),
         scan=scan.key,
         noise=to_plain(settings.noise) if noise is None else noise,
         reading_options=reading,

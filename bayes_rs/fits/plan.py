@@ -153,7 +153,7 @@ def plain_options(options: FitOptions) -> dict[str, Any]:
 
 def version_parts() -> dict[str, Any]:
     """Return what of the software tells fits apart, for `digest_parts`."""
-    return {"version": __version__, "packages": number_versions(), "layout_of_the_tables": LAYOUT}
+    return {"version": __version__, **number_versions(), "layout_of_the_tables": LAYOUT}
 
 
 def option_parts(options: FitOptions) -> dict[str, Any]:

@@ -147,7 +147,7 @@ def _rules(quality: QualityRules | None, series: xr.Dataset, scan: Scan) -> Qual
             raise InputError(
                 f"Unknown beam {number} in quality: the beams of scan {scan.name!r} are {scan.beam.tolist()}."
             )
-    valid = series.attrs.get("status_valid")
+    valid = series.attrs.get("status_valid") if "status" in series else None
     return rules if rules.status_valid is not None or valid is None else replace(rules, status_valid=float(valid))
 
 

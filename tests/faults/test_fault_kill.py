@@ -12,7 +12,7 @@ import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
 
 import bayes_rs as brs
-from bayes_rs import InputError, folder_place
+from bayes_rs import InputError
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 
@@ -124,12 +124,14 @@ class TestFolders:
 
         child = os.fork()
         if child == 0:
-            monkeypatch.setattr(Path, "replace", stopping(Path.replace))
-            monkeypatch.setattr(folder_place, "remove_ours", stopping(folder_place.remove_ours))
-            with output_folder(final, overwrite=True) as folder:
-                write_run(folder, {"n": "new"})
-                (folder / "posterior.nc").write_text("new")
-            os._exit(0)
+            try:  # never back into the tests
+                monkeypatch.setattr(Path, "replace", stopping(Path.replace, tmp_path))
+                monkeypatch.setattr(Path, "unlink", stopping(Path.unlink, tmp_path / ".out.replaced"))
+                with output_folder(final, overwrite=True) as folder:
+                    write_run(folder, {"n": "new"})
+                    (folder / "posterior.nc").write_text("new")
+            finally:
+                os._exit(1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
         places = [place for place in tmp_path.iterdir() if place.is_dir() and any(place.iterdir())]  # and a lock
         assert sorted((place / "posterior.nc").read_text() for place in places) == ["new", "old"]
