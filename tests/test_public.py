@@ -1,6 +1,7 @@
 """The public names: pinned, importable, and none of them hidden by a module of the same name."""
 
 import importlib
+import inspect
 import pkgutil
 import subprocess
 import sys
@@ -102,6 +103,7 @@ SUBJECTS = {
         "RecordNoise",
         "SonicMoments",
         "SonicNoise",
+        "as_noise",
         "calibrate",
         "load",
         "sonic_moments",
@@ -238,3 +240,42 @@ def test_the_command_line_does_not_load_the_science_for_its_help():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603 - our own
     assert done.stdout.strip() == "[]"
+
+
+class TestWhatIsTaken:
+    """Wherever a scan, turbulence or noise is taken, its name or file is, too."""
+
+    def test_names_and_files(self):
+        refused = set()
+        for where in (bayes_rs, *(getattr(bayes_rs, subject) for subject in SUBJECTS)):
+            for name, call in ((name, getattr(where, name)) for name in where.__all__):
+                if not inspect.isfunction(call):  # classes are results, or options that hold the name as one
+                    continue
+                taken = inspect.signature(call).parameters
+                for word in {"scan", "turbulence", "noise"} & set(taken):
+                    if "str | Path" not in str(taken[word].annotation):
+                        refused.add((name, word))
+        assert refused == {("save_scan", "scan")}
+
+    def test_other_things_are_refused_in_one_line(self):
+        series = bayes_rs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=1, seed=1)
+        for call, words in (
+            (lambda: bayes_rs.fit(series, "2-beam", seed=1), "Invalid records: they are samples; give make_records"),
+            (lambda: bayes_rs.fit("a.csv", "2-beam", seed=1), "Invalid records 'a.csv': give those of make_records"),
+            (lambda: bayes_rs.fit(None, "2-beam", seed=1), "Invalid records of type NoneType: give those of"),
+            (lambda: bayes_rs.prior_sensitivity(series, "2-beam", seed=1), "Invalid records: they are samples"),
+            (lambda: bayes_rs.noise.calibrate("2-beam", records=series), "Invalid records: they are samples"),
+            (lambda: bayes_rs.make_records("a.csv", "2-beam"), "Invalid series 'a.csv': give the Dataset of read"),
+        ):
+            with pytest.raises(bayes_rs.InputError, match=words):
+                call()
+
+    def test_results_are_one_line(self):
+        series = bayes_rs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
+        noise = bayes_rs.noise.calibrate("2-beam", wind_speed=10.0, cache=False)
+        assert (
+            repr(noise)
+            == "<Noise of scan 2-beam, calculated, fu-2022, method theory, 1 state (10 m/s, yaw 0°, L 61 m)>"
+        )
+        found = bayes_rs.fit(bayes_rs.make_records(series, "2-beam"), "2-beam", seed=1, noise=noise)
+        assert repr(found) == "<Fit: 2 of 2 records, scan 2-beam, sampler emcee>"

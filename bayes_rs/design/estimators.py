@@ -16,6 +16,7 @@ from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
+from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
 
 BoolArray = NDArray[np.bool_]
@@ -77,7 +78,7 @@ def estimate(
     *,
     method: str = "lsq",
     weights: str = "none",
-    noise: Noise | None = None,
+    noise: Noise | str | Path | None = None,
     ratio_vv: float = IEC_RATIOS[0],
     ratio_ww: float = IEC_RATIOS[1],
     combinations: Mapping[str, ArrayLike] | None = None,
@@ -102,8 +103,8 @@ def estimate(
         - ``"ratio"``: vv = `ratio_vv` uu, ww = `ratio_ww` uu, no covariances.
     weights : str
         ``"none"``: all beams count the same. ``"noise"``: generalized least squares with the covariance of `noise`.
-    noise : Noise, optional
-        From `noise.calibrate` or `noise.load`, made for this scan and record length. Gives standard errors,
+    noise : Noise, str or Path, optional
+        From `noise.calibrate`, or its file; made for this scan and record length. Gives standard errors,
         and weights if asked for. Its bias and its gain are not used: the beams are taken as points.
     ratio_vv, ratio_ww : float
         Assumed vv/uu and ww/uu, for the method ``"ratio"`` only.
@@ -198,7 +199,7 @@ def estimate(
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
         raise InputError("Invalid weights 'noise' without noise: give noise=, as bayes_rs.noise.calibrate returns it.")
-    noise = None if noise is None else _checked_noise(records, scan, noise)
+    noise = None if noise is None else _checked_noise(records, scan, as_noise(noise))
 
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64))

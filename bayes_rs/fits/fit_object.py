@@ -40,6 +40,12 @@ class Fit(FitData):
         The folder, for messages; empty in memory.
     """
 
+    def __repr__(self) -> str:
+        """Say in one line what it is."""
+        where = f", in {self.place!r}" if self.place else ""
+        counts = f"{self.n_fitted} of {self.n_record} records"
+        return f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}>"
+
     @property
     def attrs(self) -> dict[str, Any]:
         """Attributes of the whole: target, sampler, seed, scan, prior, noise and others."""

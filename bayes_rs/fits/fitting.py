@@ -26,6 +26,7 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.progress import progress_counter
+from bayes_rs.records.given import check_are_records
 
 
 def fit(
@@ -122,6 +123,7 @@ def fit(
     (18, 3)
     """
     own, choice = split_options({"seed": seed, **options})
+    check_are_records(records)
     used = as_scan(scan)
     check_workers(workers, client)
     given = given_noise(noise)

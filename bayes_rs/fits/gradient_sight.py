@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -11,26 +13,30 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, GRADIENTS, gradient_columns
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.base import seen_directions
+from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
 
 _NOTHING = 1e-10
 """Share of a gradient's information that is rounding."""
 
 
-def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: Noise | None = None) -> pd.DataFrame:
+def inflow_confounding(
+    scan: Scan | str | Path, stress: ArrayLike, *, noise: Noise | str | Path | None = None
+) -> pd.DataFrame:
     """Tell what a homogeneous fit makes of a gradient of the stresses, and whether data could tell the two apart.
 
     Parameters
     ----------
-    scan : Scan
-        The scan, at its own yaw.
+    scan : Scan, str or Path
+        The scan, at its own yaw, its name or its file.
     stress : array_like, shape (6,)
         The stresses at the middle of the scan, m² s⁻².
-    noise : Noise, optional
-        Noise of the scan's variances: the fit is weighted by it, and ``sd`` is known. By default all beams weigh the
-        same.
+    noise : Noise, str or Path, optional
+        Noise of the scan's variances, or its file: the fit is weighted by it, and ``sd`` is known. By default all
+        beams weigh the same.
 
     Returns
     -------
@@ -64,11 +70,12 @@ def inflow_confounding(scan: Scan, stress: ArrayLike, *, noise: Noise | None = N
 
     Examples
     --------
-    >>> from bayes_rs import load_scan
-    >>> table = inflow_confounding(load_scan("6-beam"), [1.0, 0.5, 0.27, 0.0, -0.15, 0.0])
+    >>> table = inflow_confounding("6-beam", [1.0, 0.5, 0.27, 0.0, -0.15, 0.0])
     >>> table.query("gradient == 'vertical_gradient' and stress == 'uw'").round(2)[["change", "hidden"]].values.tolist()
     [[-0.48, 1.0]]
     """
+    scan = as_scan(scan)
+    noise = None if noise is None else as_noise(noise)
     tensor = check_array(stress, (len(STRESSES),), what="stress")
     if not bool(is_realizable(tensor)):
         raise InputError(f"Invalid stress {tensor.tolist()}: the tensor must be realizable.")

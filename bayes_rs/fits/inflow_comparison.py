@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch, make_posterior
 from bayes_rs.fits.fit_options import FitOptions, split_options
+from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
 from bayes_rs.noise.noise import Noise
@@ -26,6 +29,7 @@ from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.progress import progress as progress_bar
+from bayes_rs.records.given import check_are_records
 
 TARGETS = ("record", "ensemble")
 _GRADES = ((5.0, "very strong for"), (3.0, "strong for"), (1.0, "positive for"))
@@ -64,10 +68,10 @@ class _Weighted:
 
 def compare_inflow(
     records: xr.Dataset,
-    scan: Scan,
+    scan: Scan | str | Path,
     *,
-    noise: Noise,
     seed: int,
+    noise: Noise | str | Path | None = None,
     n_draw: int = 4096,
     leave_one_out: bool = True,
     progress: bool | None = None,
@@ -154,7 +158,7 @@ def compare_inflow(
     """
     check_count(n_draw, what="n_draw", minimum=100)
     given = {**options, "seed": seed, "sampler": "direct", "target_ess": n_draw, "max_extension": 0}
-    asked, _ = split_options(given)
+    asked, choice = split_options(given)
     check_choice(asked.target, TARGETS, what="target of a comparison")
     nuisances = asked.nuisances
     if not nuisances.gradient_names:
@@ -166,14 +170,17 @@ def compare_inflow(
         raise InputError(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )
-    scan, noise, batch = prepare(records, scan, noise, asked)
+    check_are_records(records)
+    used = as_scan(scan)
+    made, records = noise_and_records(records, used, given_noise(noise), asked, choice, lambda _: None)
+    used, made, batch = prepare(records, used, made, asked)
     fitted = can_be_fitted(batch)
-    size = max(1, _NUMBERS // (n_draw * scan.n_beam))
+    size = max(1, _NUMBERS // (n_draw * used.n_beam))
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
     silent = None if progress is None else not progress
     found: dict[str, FloatArray] = {}
     for chunk in progress_bar(chunks, len(chunks), "comparing inflows", disable=silent):
-        for name, values in _compare(batch.take(chunk), noise, asked, leave_one_out).items():
+        for name, values in _compare(batch.take(chunk), made, asked, leave_one_out).items():
             found.setdefault(name, np.full(len(batch), np.nan))[chunk] = values
     start = records["time"].values if "time" in records.coords else np.full(len(batch), np.datetime64("NaT", "ns"))
     table = pd.DataFrame({"record": np.arange(len(batch)), "time": start, **found})

@@ -25,9 +25,9 @@ def given_noise(noise: Noise | str | Path | None) -> Noise | None:
     """Return noise that is given, itself or by its file; None if it is to be made for the records."""
     if noise is None or isinstance(noise, Noise):
         return noise
-    from bayes_rs.noise.file import load_noise  # noqa: PLC0415 - not needed without a file
+    from bayes_rs.noise.file import as_noise  # noqa: PLC0415 - not needed without a file
 
-    return load_noise(noise)
+    return as_noise(noise)
 
 
 def noise_and_records(

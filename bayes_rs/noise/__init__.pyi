@@ -3,6 +3,7 @@ from .by_theory import SonicMoments as SonicMoments
 from .by_theory import sonic_moments as sonic_moments
 from .by_theory import theory as theory
 from .calibrating import calibrate as calibrate
+from .file import as_noise as as_noise
 from .file import load as load
 from .noise import Noise as Noise
 from .record_noise import RecordNoise as RecordNoise

@@ -69,3 +69,26 @@ def load_noise(path: str | Path) -> Noise:
 
 load = load_noise
 """Its name in `bayes_rs.noise`."""
+
+
+def as_noise(noise: Noise | str | Path) -> Noise:
+    """Return the noise itself, or that of a file; see `load_noise`.
+
+    Parameters
+    ----------
+    noise : Noise, str or Path
+        The noise, or a file that `Noise.save` wrote.
+
+    Returns
+    -------
+    noise : Noise
+        The noise.
+
+    Examples
+    --------
+    >>> from bayes_rs.noise.by_theory import theory
+    >>> noise = theory("staring", wind_speed=10.0)
+    >>> as_noise(noise) is noise
+    True
+    """
+    return noise if isinstance(noise, Noise) else load_noise(noise)

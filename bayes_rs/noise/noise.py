@@ -225,6 +225,10 @@ class Noise:
         changes["state_details"] = [{key: v for key, v in d.items() if key not in shared} for d in details]
         return replace(first, details=shared, **changes)
 
+    def __repr__(self) -> str:
+        """Say in one line what it is."""
+        return f"<Noise of scan {self.scan_name}, {self.in_words()[len('noise: ') :]}>"
+
     def __len__(self) -> int:
         """Number of states."""
         return len(self.wind_speed)

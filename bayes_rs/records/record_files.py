@@ -10,19 +10,20 @@ import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
 
 
-def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
+def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None:
     """Read records that were written before; None if the file is something else, such as radial velocities.
 
     Parameters
     ----------
     path : str or Path
         The file.
-    scan : Scan
-        The scan that measured them.
+    scan : Scan, str or Path
+        The scan that measured them, its name or its file.
 
     Returns
     -------
@@ -44,6 +45,7 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
         return None  # the reader of radial velocities says what is wrong with it
     if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
         return None
+    scan = as_scan(scan)
     key = dataset.attrs.get("scan_key", scan.key)
     if key != scan.key:
         raise InputError(
@@ -53,15 +55,15 @@ def open_records(path: str | Path, scan: Scan) -> xr.Dataset | None:
     return dataset
 
 
-def open_record_files(paths: Sequence[str | Path], scan: Scan) -> xr.Dataset | None:
+def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> xr.Dataset | None:
     """Read records that were written before, of one file or several; None if they are something else.
 
     Parameters
     ----------
     paths : sequence of str or Path
         The files.
-    scan : Scan
-        The scan that measured them.
+    scan : Scan, str or Path
+        The scan that measured them, its name or its file.
 
     Returns
     -------

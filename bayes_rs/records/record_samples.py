@@ -13,6 +13,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality.samples import BeamSamples, IntArray
+from bayes_rs.records.given import check_is_series
 
 OPTIONAL_COLUMNS = ("cnr", "status")
 """Variables that are taken along if the series has them."""
@@ -75,9 +76,7 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
     InputError
         If the series lacks a variable, holds no sample or a beam that the scan does not have, or its times are none.
     """
-    for name in ("radial_velocity", "time", "beam"):
-        if name not in series.variables or series[name].dims != ("sample",):
-            raise InputError(f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read.")
+    check_is_series(series)
     if series.sizes["sample"] == 0:
         raise InputError("Invalid series: it holds no sample; give files with samples.")
     if not np.issubdtype(series["time"].dtype, np.datetime64) or bool(np.isnat(series["time"].values).any()):

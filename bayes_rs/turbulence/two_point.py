@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES, unpack_stress
 from bayes_rs.turbulence.isotropic import isotropic_covariance, isotropic_cross_spectra, isotropic_radial
 from bayes_rs.turbulence.log_transform import ComplexArray, bessel_mellin, cosine_mellin, log_convolution, sine_mellin
-from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.turbulence.one_point import isotropic_tensor
 from bayes_rs.turbulence.spectral_tensor import lifetime_shape, scaled_tensor
 from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stencil
@@ -84,15 +85,17 @@ def resolution_for(tolerance: float, gamma: float) -> tuple[float, Resolution]:
     )
 
 
-def velocity_covariance(separation: ArrayLike, turbulence: MannTurbulence, *, tolerance: float = 1e-4) -> FloatArray:
+def velocity_covariance(
+    separation: ArrayLike, turbulence: MannTurbulence | str | Path, *, tolerance: float = 1e-4
+) -> FloatArray:
     """Return the covariance tensor of the velocities at two points.
 
     Parameters
     ----------
     separation : array_like, shape (..., 3)
         From the first point to the second, along x, y, z, m. Time lags enter as x separations, −Uτ (frozen turbulence).
-    turbulence : MannTurbulence
-        The turbulence.
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name or its file.
     tolerance : float
         Largest error, relative to the variance of u.
 
@@ -121,11 +124,10 @@ def velocity_covariance(separation: ArrayLike, turbulence: MannTurbulence, *, to
 
     Examples
     --------
-    >>> from bayes_rs.turbulence.mann import load_turbulence
-    >>> seed = load_turbulence("fu-2022")
-    >>> velocity_covariance([100.0, 0.0, 0.0], seed).diagonal().round(3)
+    >>> velocity_covariance([100.0, 0.0, 0.0], "fu-2022").diagonal().round(3)
     array([0.797, 0.174, 0.063])
     """
+    turbulence = as_turbulence(turbulence)
     r = np.asarray(separation, dtype=np.float64)
     if r.ndim == 0 or r.shape[-1] != 3:
         raise InputError(f"Invalid separation of shape {r.shape}: the last dimension must hold x, y and z.")
@@ -160,8 +162,8 @@ def radial_covariance(
         Separation of the two measured points along y and z, m.
     along : array_like, shape (n, n_lag)
         Separations along x, m; a lag τ from the first to the second beam counts as Δx − Uτ.
-    turbulence : MannTurbulence
-        The turbulence.
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name or its file.
     tolerance : float
         Largest error, relative to the variance of u.
 
@@ -204,7 +206,7 @@ def radial_covariance(
 
 
 def cross_spectra(
-    wave_number: ArrayLike, separation: ArrayLike, turbulence: MannTurbulence, *, tolerance: float = 1e-4
+    wave_number: ArrayLike, separation: ArrayLike, turbulence: MannTurbulence | str | Path, *, tolerance: float = 1e-4
 ) -> ComplexArray:
     """Return the two-sided cross-spectra of the velocities at two points in the plane across the wind.
 
@@ -214,8 +216,8 @@ def cross_spectra(
         k₁, rad/m, above zero.
     separation : array_like, shape (2,)
         From the first point to the second, along y and z, m.
-    turbulence : MannTurbulence
-        The turbulence.
+    turbulence : MannTurbulence, str or Path
+        The turbulence, its name or its file.
     tolerance : float
         Chooses the quadrature; see `velocity_covariance`.
 
@@ -245,6 +247,7 @@ def cross_spectra(
     >>> seed.spectra([0.01])[0, :3].round(1)
     array([12.2,  8.1,  4.2])
     """
+    turbulence = as_turbulence(turbulence)
     k1 = np.asarray(wave_number, dtype=np.float64) * turbulence.length_scale
     if k1.ndim != 1 or not np.all((k1 > 0.0) & np.isfinite(k1)):
         raise InputError("Invalid wave_number: k1 must be a list of finite numbers above zero, rad/m.")

@@ -135,15 +135,17 @@ def read_motion(
     )
 
 
-def add_motion(records: xr.Dataset, scan: Scan, options: RecordOptions, files: FileOptions | None = None) -> xr.Dataset:
+def add_motion(
+    records: xr.Dataset, scan: Scan | str | Path, options: RecordOptions, files: FileOptions | None = None
+) -> xr.Dataset:
     """Give records the lidar's own tilt and roll from the files that the options of records name.
 
     Parameters
     ----------
     records : xarray.Dataset
         From `make_records`.
-    scan : Scan
-        The scan that they were measured with.
+    scan : Scan, str or Path
+        The scan that they were measured with, its name or its file.
     options : RecordOptions
         With the files of motion and their columns.
     files : FileOptions, optional
@@ -163,6 +165,7 @@ def add_motion(records: xr.Dataset, scan: Scan, options: RecordOptions, files: F
     """
     if not options.motion:
         return records
+    scan = as_scan(scan)
     written = {} if files is None else files.given()
     motion = read_motion(
         options.motion,

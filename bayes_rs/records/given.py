@@ -1,0 +1,38 @@
+"""What is given as records or as a series is one."""
+
+from __future__ import annotations
+
+import xarray as xr
+
+from bayes_rs.errors import InputError
+
+
+def check_are_records(records: xr.Dataset) -> None:
+    """Check that a Dataset holds records.
+
+    Raises
+    ------
+    InputError
+        If it is no Dataset, or one of samples.
+    """
+    if not isinstance(records, xr.Dataset):
+        what = repr(records) if isinstance(records, str) else f"of type {type(records).__name__}"
+        raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
+    if "radial_velocity" in records:
+        raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
+
+
+def check_is_series(series: xr.Dataset) -> None:
+    """Check that a Dataset holds samples.
+
+    Raises
+    ------
+    InputError
+        If it is no Dataset, or lacks a variable over the samples.
+    """
+    if not isinstance(series, xr.Dataset):
+        what = repr(series) if isinstance(series, str) else f"of type {type(series).__name__}"
+        raise InputError(f"Invalid series {what}: give the Dataset of read(files, scan).")
+    for name in ("radial_velocity", "time", "beam"):
+        if name not in series.variables or series[name].dims != ("sample",):
+            raise InputError(f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read.")
