@@ -165,7 +165,7 @@ class TestRecords:
         file = tmp_path / "records.nc"
         file.write_text("mine")
         arguments = ("records", inputs / "good.csv", "--scan", "6-beam", "-o", file)
-        refusal(*bayes_rs(*arguments), str(file), "exists: give another name, or --overwrite")
+        refusal(*bayes_rs(*arguments), str(file), "exists: give another name, or overwrite it")
         assert file.read_text() == "mine"
         assert bayes_rs(*arguments, "--overwrite")[0] == 0
         assert file.stat().st_size > 1000
@@ -506,7 +506,7 @@ class TestCorner:
     def test_a_picture_is_kept_without_overwrite(self, bayes_rs, folder, tmp_path):
         picture = tmp_path / "mine.pdf"
         picture.write_text("mine")
-        refusal(*bayes_rs("corner", folder, "-o", picture), str(picture), "exists: give another name, or --overwrite")
+        refusal(*bayes_rs("corner", folder, "-o", picture), str(picture), "exists: give another name, or overwrite it")
         assert picture.read_text() == "mine"
         assert bayes_rs("corner", folder, "-o", picture, "--overwrite")[0] == 0
         assert picture.read_bytes().startswith(b"%PDF")
@@ -661,7 +661,7 @@ class TestBadNoise:
 class TestBadOutput:
     def test_an_existing_folder(self, fit, inputs, finished):
         before = (finished[0] / "run.json").read_text()
-        parts = [f"Output folder {str(finished[0])!r} exists", "give another name, or --overwrite"]
+        parts = [f"Output folder {str(finished[0])!r} exists", "give another name, or overwrite it"]
         refusal(*fit(inputs / "good.csv", output=finished[0]), *parts)  # before anything is read
         assert (finished[0] / "run.json").read_text() == before
 

@@ -13,7 +13,7 @@ from folder_scene import DURATION, FITTING, FLOW, RECORDING, run
 from bayes_rs import InputError, fit, load_scan, make_records, open_fit, read, save_scan, simulate, write_report
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.file_options import FileOptions
-from bayes_rs.fits import from_files, plan
+from bayes_rs.fits import plan
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.priors.ratio import WeakPrior
 from bayes_rs.records import record_store
@@ -153,7 +153,6 @@ class TestOtherFolders:
     def test_another_layout_is_not_gone_on_with(self, place, tmp_path, monkeypatch):
         options = {"scan": str(place / "mine.toml"), "invalid": [9999.0]}
         monkeypatch.setattr(plan, "LAYOUT", 1)
-        monkeypatch.setattr(from_files, "LAYOUT", 1)
         run(place / "year", tmp_path / "out", place / "noise.nc", **options)
         monkeypatch.undo()
         words = "is of a run that differs in layout of the tables, so it cannot be resumed: give the same"

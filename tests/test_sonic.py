@@ -433,12 +433,14 @@ class TestRefusals:
         with pytest.raises(InputError, match="Invalid likelihood 'gamma' for the target 'sonic'"):
             fit(records, scan, noise=noise, target="sonic", likelihood="gamma", seed=1)
 
-    def test_moments_that_contradict_each_other(self, scene):
+    def test_moments_that_contradict_each_other(self, scene, caplog):
         records, scan, noise = scene
         wrong = replace(noise, sonic_beam_covariance=1.2 * noise.sonic_beam_covariance[0])
         found = fit(records, scan, noise=wrong, target="sonic", seed=1)
         assert found.flags["likelihood_failed"] == 2
         assert found.n_fitted == 0
+        (said,) = caplog.messages
+        assert said.startswith("Of records 0 to 1, 2 cannot be fitted: ")
 
     def test_boxes(self, scene):
         _, scan, _ = scene

@@ -434,7 +434,7 @@ class TestFeedingTheNoise:
 class TestAlongWind:
     def test_beams_at_angles_give_the_spectrum_of_u(self):
         scan, speed = brs.load_scan("pulsed-4-beam"), 10.0
-        series = brs.simulate(scan, FLOW, wind_speed=speed, n_records=120, seed=3)
+        series = brs.simulate(scan, FLOW, wind_speed=speed, n_records=30, seed=3)
         spectra = brs.spectra.radial_spectra(series, scan, brs.make_records(series, scan))
         fit = brs.spectra.fit_spectra(spectra, scan, instrument_noise_sd=0.0, progress=False)
         along = brs.spectra.along_wind_spectra(spectra, scan, fit)
@@ -449,8 +449,9 @@ class TestAlongWind:
         )[0]
         expected = FLOW.velocity_scale**2 * lag_windows(np.ones(n, dtype=bool), 4.0, 0) @ u
         values = along["spectrum"].values
-        z = (values.mean(axis=0) - expected) / (values.std(axis=0) / np.sqrt(120))
-        assert np.abs(z).max() < 4.5
+        z = (values.mean(axis=0) - expected) / (values.std(axis=0, ddof=1) / np.sqrt(30))
+        # a mean over 30 records and its own scatter: Student's t of 29, beyond 5.5 at one frequency in 150,000
+        assert np.abs(z).max() < 5.5
         plain = spectra["spectrum"].values.mean(axis=1)
         assert abs(np.log(plain.mean() / expected.mean())) > abs(np.log(values.mean() / expected.mean()))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +24,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 
+_log = logging.getLogger(__name__)
 _FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
 """What the likelihood of a record may fail with."""
 _CHUNK = 128
@@ -97,16 +99,21 @@ def fit_part(shared: Shared, part: Part) -> Done:
     flag = part.flag.copy()
     found = _Columns(len(part.batch))
     kept: list[tuple[NDArray[np.int64], RecordDraws]] = []
-    size = batch_size(len(shared.beam))
+    size, reasons = batch_size(len(shared.beam)), list[str]()
     for first in range(0, len(fitted), size):
         wanted = fitted[first : first + size]
-        some, draws = _fit_those_that_can(part.batch, wanted, shared)
+        some, draws = _fit_those_that_can(part.batch, wanted, shared, reasons)
         flag[np.setdiff1d(wanted, some)] |= FLAGS["likelihood_failed"]
         if draws is not None:
             flag[some] |= flags_after(draws, shared.options.target_ess)
             _put(found, some, draws, part.batch, shared)
             if shared.keep_draws:
                 kept.append((part.record[some], draws))
+    if reasons:
+        _log.warning(
+            "Of records %d to %d, %d cannot be fitted: %s",
+            *(part.record[0], part.record[-1], len(reasons), reasons[0]),
+        )
     tables = {
         "summary": summary_frame(
             found.summary,
@@ -188,16 +195,17 @@ def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd
 
 
 def _fit_those_that_can(
-    batch: Batch, rows: NDArray[np.int64], shared: Shared
+    batch: Batch, rows: NDArray[np.int64], shared: Shared, reasons: list[str]
 ) -> tuple[NDArray[np.int64], RecordDraws | None]:
-    """Fit some records of a batch; return those that could be, and their draws."""
+    """Fit some records of a batch; return those that could be, and their draws; add why the others could not be."""
     try:
         return rows, fit_batch(batch.take(rows), shared.noise, shared.options, predict=shared.keep_draws)
-    except _FAILED:
+    except _FAILED as error:
         if len(rows) == 1:
+            reasons.append(str(error))
             return rows[:0], None
     # a record's numbers do not depend on those beside it: halves find the one that fails
-    found = [_fit_those_that_can(batch, half, shared) for half in np.array_split(rows, 2)]
+    found = [_fit_those_that_can(batch, half, shared, reasons) for half in np.array_split(rows, 2)]
     fitted = [draws for _, draws in found if draws is not None]
     return np.concatenate([some for some, _ in found]), join_draws(fitted) if fitted else None
 
