@@ -8,7 +8,7 @@ class InputError(ValueError):
 
 
 class NoiseMismatchError(InputError):
-    """A noise model that was made for another scan than the one it is used with.
+    """Noise that was made for another scan than the one it is used with.
 
     Attributes
     ----------

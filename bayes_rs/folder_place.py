@@ -68,6 +68,8 @@ def check_inputs(final: Path, inputs: Iterable[str | Path]) -> None:
     folders = [place for place in (final, partial_of(final)) if place.is_dir()]
     for given in inputs:
         path = Path(given)
+        if not os.path.lexists(path):
+            continue  # a name of ours, or what reading it will say is missing
         above = {path, path.resolve(), Path(os.path.abspath(path))}  # noqa: PTH100 - of a link, where it lies and where it leads
         above |= {parent for one in above for parent in one.parents}
         if any(place.exists() and any(place.samefile(folder) for folder in folders) for place in above):

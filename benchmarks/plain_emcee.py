@@ -13,7 +13,15 @@ from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.sampling.chains import (
+    N_CHAIN,
+    N_ENSEMBLE,
+    N_WALKER,
+    Chains,
+    Effort,
+    diagnose_stress,
+    kept_draws,
+)
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 N_BURN_IN = 500
@@ -24,9 +32,7 @@ _BALL = 0.1
 """Spread of the walkers' first positions in the coordinates, in which the prior's own spread is about 1."""
 
 
-def sample_plain(
-    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
-) -> Chains:
+def sample_plain(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
     """Sample each record on its own with emcee's stretch move.
 
     Parameters
@@ -35,12 +41,9 @@ def sample_plain(
         Posterior of n_record records.
     streams : RecordStreams
         Their random streams.
-    seed : int
-        Not used: the streams hold it.
-    target_ess : int
-        Bulk effective sample size to reach for every stress.
-    max_extension : int
-        How often the chains of a record may be doubled.
+    effort : Effort
+        Effective sample size to reach, and how often the chains of a record may be doubled for it; the streams hold the
+        seed.
 
     Returns
     -------
@@ -51,8 +54,7 @@ def sample_plain(
     ----------
     Goodman and Weare (2010), Comm. Appl. Math. Comp. Sci. 5, 65–80, doi:10.2140/camcos.2010.5.65.
     """
-    del seed
-    n_draw = kept_draws(target_ess)
+    n_draw = kept_draws(effort.target_ess)
     n_record, k = posterior.n_record, posterior.n_coordinate
     chains = Chains(
         np.empty((n_record, N_CHAIN, n_draw, k)),
@@ -69,9 +71,7 @@ def sample_plain(
     mode = laplace_proposal(posterior).mode
     for record in range(n_record):
         one = np.array([record])
-        _sample_one(
-            posterior.take(one), mode[record], streams.take(one), n_draw, target_ess, max_extension, chains, one
-        )
+        _sample_one(posterior.take(one), mode[record], streams.take(one), n_draw, effort, chains, one)
     return chains
 
 
@@ -80,8 +80,7 @@ def _sample_one(
     mode: FloatArray,
     streams: RecordStreams,
     n_draw: int,
-    target_ess: int,
-    max_extension: int,
+    effort: Effort,
     chains: Chains,
     record: np.ndarray[tuple[int], np.dtype[np.int64]],
 ) -> None:
@@ -102,7 +101,7 @@ def _sample_one(
         start = mode + _BALL * streams.normal(np.array([0]), (n_walker, k))[0]
         samplers.append((sampler, sampler.run_mcmc(start, N_BURN_IN)))
         sampler.reset()
-    for extension in range(max_extension + 1):
+    for extension in range(effort.max_extension + 1):
         stride = _STRIDE * 2**extension
         steps = n_draw * stride // 2  # half the draws of a chain from each of two walkers
         for index, (sampler, state) in enumerate(samplers):
@@ -123,7 +122,7 @@ def _sample_one(
         chains.autocorrelation_time[record] = diagnostics.autocorrelation_time(by_walker) * stride
         chains.acceptance[record] = np.mean([sampler.acceptance_fraction for sampler, _ in samplers])
         chains.n_step[record] = steps
-        if not chains.missed(target_ess)[record].any():
+        if not chains.missed(effort.target_ess)[record].any():
             break
 
 

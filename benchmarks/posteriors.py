@@ -27,6 +27,7 @@ from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
+from bayes_rs.posteriors.sampling.chains import Effort
 from bayes_rs.priors.registry import WeakPrior
 
 SCANS: dict[str, tuple[str, dict[str, float]]] = {
@@ -107,7 +108,7 @@ def scene(scan_name: str) -> Posterior:
 def draws_of(sampler: str, posterior: Posterior, keys: np.ndarray, target_ess: int) -> tuple[float, np.ndarray]:
     """Return the seconds, and draws of stresses, shape (n_record, n_draw, 6)."""
     began = time.perf_counter()
-    chains, _ = sample(sampler, posterior, seed=1, keys=keys, target_ess=target_ess, max_extension=0)
+    chains, _ = sample(sampler, posterior, keys=keys, effort=Effort(1, target_ess, 0))
     return time.perf_counter() - began, chains.stress.reshape(len(keys), -1, 6)
 
 

@@ -89,6 +89,12 @@ class TestRecords:
         with pytest.raises(InputError, match=f"Invalid {next(iter(change))} with records"):
             calibrate(scan, records=some_records(scan, [9.0, 10.0]), **change)
 
+    def test_records_without_a_wind(self):
+        records = some_records(load_scan("2-beam"), [9.0])
+        for without in (records.drop_vars("wind_speed"), records.drop_vars("yaw"), records * np.nan):
+            with pytest.raises(InputError, match="No record has a wind speed and direction"):
+                calibrate("2-beam", records=without)
+
     def test_words_count_those_outside(self):
         words = plain_noise(load_scan("2-beam")).in_words([10.0, 16.0, np.nan], [0.0, 0.0, 0.0])
         assert words == (

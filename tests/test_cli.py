@@ -19,7 +19,7 @@ from bayes_rs.geometry.stress import unpack_stress
 
 START = np.datetime64("2020-01-01T12:00", "ns")
 STRESS = np.array([1.0, 0.6, 0.4, 0.0, -0.2, 0.0])
-FILES = {"posterior.nc", "summary.csv", "records.nc", "stresses.png", "corner.png", "run.json"}
+FILES = {"posterior.nc", "summary.csv", "fingerprints.jsonl", "records.nc", "stresses.png", "corner.png", "run.json"}
 REPORT = 4
 """Lines of a read report of a file in which nothing is wrong."""
 
@@ -339,7 +339,7 @@ class TestLongFit:
         folder = tmp_path / "out"
         assert {file.name for file in folder.iterdir()} == {
             *("summary", "posterior", "draws", "records"),
-            *("prior.parquet", "records.nc", "run.json", "summary.csv"),
+            *("prior.parquet", "records.nc", "run.json", "summary.csv", "fingerprints.jsonl"),
         }
         assert out.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
         assert any(line.startswith("contraction against the prior") for line in out.splitlines())

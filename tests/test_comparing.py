@@ -14,7 +14,7 @@ from bayes_rs.cli import main
 from bayes_rs.design.compare_job import comparison_words, run_compare
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.comparing import COLUMNS, enough_beams
-from bayes_rs.design.comparison_plot import plot_comparison
+from bayes_rs.design.comparison_plot import comparison
 from bayes_rs.design.scan_grid import DESIGN
 from bayes_rs.design.trial_records import drawn_records, explained_errors
 from bayes_rs.geometry.stress import STRESSES
@@ -324,7 +324,7 @@ class TestScans:
 
 class TestPicture:
     def test_a_bar_for_every_scan_and_case(self, table):
-        figure = plot_comparison(table, stresses=("uu", "vv"))
+        figure = comparison(table, stresses=("uu", "vv"))
         assert len(figure.axes) == 2
         bars = figure.axes[0].patches
         widths = sorted(bar.get_width() for bar in bars)
@@ -332,7 +332,7 @@ class TestPicture:
         np.testing.assert_allclose(widths, sorted(wanted))
 
     def test_contours_of_a_grid_where_two_things_vary(self, grid):
-        figure = plot_comparison(grid)
+        figure = comparison(grid)
         assert [panel.get_title()[:2] for panel in figure.axes] == list(STRESSES)
         assert figure.axes[3].get_xlabel() == "opening angle, degrees"
         assert figure.axes[3].get_ylabel() == "focus distance, m"
@@ -340,25 +340,25 @@ class TestPicture:
         figure.savefig(io.BytesIO(), format="png")
 
     def test_lines_where_one_thing_varies(self, beams, durations):
-        figure = plot_comparison(beams, stresses=["uu", "vw"])
+        figure = comparison(beams, stresses=["uu", "vw"])
         lines = figure.axes[1].lines
         assert [line.get_linestyle() for line in lines] == ["--", "-"]
         np.testing.assert_array_equal(lines[1].get_ydata(), widths(beams, stress="vw", centre=True))
-        assert plot_comparison(durations).axes[3].get_xlabel() == "record length, s"
+        assert comparison(durations).axes[3].get_xlabel() == "record length, s"
 
     def test_bars_where_it_is_no_grid(self, grid):
         """Three things, or two over which not all combinations are there, are no picture of two axes."""
         part = grid[~((grid["opening_angle_deg"] == 30.0) & (grid["focus_distance"] == 30.0))]
         both = pd.concat([grid, grid.assign(duration=1200.0)])
         for table in (part, both):
-            assert len(plot_comparison(table).axes) == 4
+            assert len(comparison(table).axes) == 4
 
     def test_refusals(self, table):
         with pytest.raises(InputError, match="stress"):
-            plot_comparison(table, stresses=("xx",))
+            comparison(table, stresses=("xx",))
         for other in (pd.DataFrame({"a": [1]}), table.iloc[:0]):
             with pytest.raises(InputError, match="Not a table of scans"):
-                plot_comparison(other)
+                comparison(other)
 
 
 def test_the_folder_holds_table_figure_and_json(tmp_path):

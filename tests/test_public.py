@@ -36,7 +36,6 @@ PUBLIC = [
     "scan_criterion",
     "enough_beams",
     "compare",
-    "plot_comparison",
     "prior_sensitivity",
     "directions",
     "direction_words",

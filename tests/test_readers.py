@@ -353,7 +353,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize("name", ["day.xlsx", "day", "day.gz"])
     def test_unknown_suffix(self, tmp_path, name):
-        with pytest.raises(InputError, match=r"Unknown suffix '.*' of file .*: it must be one of .hpl, .csv, "):
+        with pytest.raises(InputError, match=r"Unknown suffix '.*' of file .*: it must be one of .*\.csv, "):
             read(write(tmp_path, HEAD, name), SCAN)
         if name != "day.gz":
             series = read(write(tmp_path, HEAD + ROWS[0], name), SCAN, file_format="long")
@@ -468,7 +468,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"file_format": "excel"}, "Unknown file_format 'excel': it must be one of auto, halo, zx, "),
+            ({"file_format": "excel"}, "Unknown file_format 'excel': it must be one of auto, "),
             ({"positive": "up"}, "Unknown positive 'up': it must be one of away, towards."),
             ({"velocity_unit": "mph"}, "Unknown velocity_unit 'mph': it must be one of m/s, km/h, knot."),
             ({"columns": {"velocity": "v"}}, "Unknown name 'velocity' in columns: it must be one of time, beam,"),

@@ -14,7 +14,7 @@ from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS, sample
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Effort
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.ensemble import RecordSampler
 from bayes_rs.posteriors.sampling.pareto import pareto_k
@@ -55,7 +55,7 @@ def reference_posterior(likelihood: LogNormalLikelihood, record: int, prior, n_d
 
 def draw(name, likelihood, prior, *, target_ess=4000, keys=None, seed=5):
     keys = np.arange(likelihood.n_record) if keys is None else keys
-    return sample(name, Posterior(likelihood, prior), seed=seed, keys=keys, target_ess=target_ess, max_extension=5)[0]
+    return sample(name, Posterior(likelihood, prior), keys=keys, effort=Effort(seed, target_ess, 5))[0]
 
 
 def check_sampler(name, likelihood, prior, *, n_reference, records=(0, 1), target_ess=4000):

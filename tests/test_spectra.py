@@ -450,7 +450,7 @@ class TestAlongWind:
 class TestPicture:
     def test_a_panel_for_each_beam_with_measured_band_and_fitted_curve(self, recovered, tmp_path):
         _, _, spectra, fit = recovered
-        figure = brs.plot_spectra(spectra, fit)
+        figure = brs.plot.spectra(spectra, fit)
         (panel,) = figure.axes
         averages = brs.average_spectra(spectra)
         measured = panel.lines[0]
@@ -462,4 +462,4 @@ class TestPicture:
         assert float(inside.mean()) > 0.6
         figure.savefig(tmp_path / "spectra.png")
         with pytest.raises(brs.InputError, match="not of these spectra"):
-            brs.plot_spectra(spectra.isel(record=[0]), fit)
+            brs.plot.spectra(spectra.isel(record=[0]), fit)

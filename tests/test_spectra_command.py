@@ -33,6 +33,7 @@ def test_the_command_writes_tables_a_figure_and_what_it_did(tmp_path):
     assert done.exit_code == 0, done.output
     assert "5 of 5 records fitted" in done.output
     names = {"spectra.csv", "fit.csv", "noise.csv", "spectra.nc", "fit.nc", "records.nc", "spectra.png", "run.json"}
+    names.add("fingerprints.jsonl")
     assert {file.name for file in (tmp_path / "out").iterdir()} == names
     table = pd.read_csv(tmp_path / "out" / "fit.csv")
     assert len(table) == 5

@@ -10,12 +10,13 @@ import click
 
 from bayes_rs._version import __version__
 
+EXIT_FAILURES = 1
 EXIT_BAD_INPUT = 2
 
 
 def main() -> None:
     """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
-    from bayes_rs.errors import InputError, MissingExtraError, WorkerError
+    from bayes_rs.errors import InputError, LostResultsError, MissingExtraError, WorkerError
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
@@ -31,10 +32,10 @@ def main() -> None:
         click.echo("bayes-rs: interrupted.", err=True)
         _echo_notes(error.__cause__ or error.__context__)
         code = 130
-    except (InputError, MissingExtraError, WorkerError, OSError) as error:
+    except (InputError, LostResultsError, MissingExtraError, WorkerError, OSError) as error:
         click.echo(f"bayes-rs: {_one_line(error)}", err=True)
         _echo_notes(error)
-        code = EXIT_BAD_INPUT
+        code = EXIT_FAILURES if isinstance(error, LostResultsError) else EXIT_BAD_INPUT
     sys.exit(code)
 
 

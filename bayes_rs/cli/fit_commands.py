@@ -39,7 +39,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     if save_settings is not None:
         settings.save(save_settings)
     if not settings.output.resume:
-        check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.files.files)
+        check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
     if open_record_files(settings.files.files, settings.scan.load()) is not None:
         refuse_without_effect(settings.files.files)
     found = fit_files(settings, say=lambda line: click.echo(line, err=True))

@@ -1,7 +1,6 @@
 from .compare_options import CompareOptions as CompareOptions
 from .comparing import compare as compare
 from .comparing import enough_beams as enough_beams
-from .comparison_plot import plot_comparison as plot_comparison
 from .estimators import estimate as estimate
 from .optimizing import optimize_scan as optimize_scan
 from .optimizing import scan_criterion as scan_criterion

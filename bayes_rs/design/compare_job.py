@@ -56,7 +56,7 @@ def run_compare(
     InputError
         If the folder exists, or a scan or an option is not valid.
     """
-    from bayes_rs.design.comparison_plot import plot_comparison  # noqa: PLC0415 - matplotlib is slow to load
+    from bayes_rs.design.comparison_plot import comparison  # noqa: PLC0415 - matplotlib is slow to load
 
     check_output_folder(output, overwrite=overwrite)
     chosen = from_plain(CompareOptions, options or {}, where="the options of compare")
@@ -69,7 +69,7 @@ def run_compare(
             json.dumps({"bayes_rs": __version__, "scene": scene, "rows": rows}, indent=1, ensure_ascii=False) + "\n",
             encoding="utf-8",
         )
-        plot_comparison(table).savefig(folder / "comparison.png", dpi=130)
+        comparison(table).savefig(folder / "comparison.png", dpi=130)
         write_run(folder, {"bayes_rs": __version__, "command": "compare", **scene})
     return table, comparison_words(table)
 

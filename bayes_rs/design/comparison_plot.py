@@ -24,7 +24,7 @@ _OF_BARS = ("uu", "vv", "ww", "uw")
 _CASE = ["turbulence", "prior", "data", "duration"]
 
 
-def plot_comparison(table: pd.DataFrame, *, stresses: Sequence[str] | None = None, classic: str = "lsq") -> Figure:
+def comparison(table: pd.DataFrame, *, stresses: Sequence[str] | None = None, classic: str = "lsq") -> Figure:
     """Draw the interval widths of scans, one panel for each stress.
 
     Parameters

@@ -323,7 +323,7 @@ def _has_noise(records: xr.Dataset, part: slice, used: BoolArray, mean: FloatArr
 def _relative_covariance(
     noise: Noise, records: xr.Dataset, part: slice, yaw: FloatArray, known: BoolArray
 ) -> tuple[FloatArray, int]:
-    """Return K of each record, zeros where it is not known, and how many records are outside the bank."""
+    """Return K of each record, zeros where it is not known, and how many records are outside the noise."""
     relative = np.zeros((len(yaw), noise.n_beam, noise.n_beam))
     if not known.any():
         return relative, 0

@@ -174,9 +174,9 @@ def _bank(shipped: Noise | None) -> Step:
         )
     return Step(
         what,
-        "a bank of states is computed where the records are, and kept in the cache",
+        "a net of states is computed where the records are, and kept in the cache",
         "none is shipped for this scan, turbulence and record length",
-        "1 % of K between the states, measured when the bank is made",
+        "1 % of K between the states, measured when the net is made",
     )
 
 

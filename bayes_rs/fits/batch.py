@@ -22,7 +22,7 @@ from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
 from bayes_rs.posteriors.sampling.chains import BLOCK, Chains
 from bayes_rs.posteriors.sampling.streams import RecordStreams
-from bayes_rs.posteriors.sonic import ESS_MARGIN, draw_sonic
+from bayes_rs.posteriors.sonic import draw_sonic
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class RecordDraws:
     misfit : ndarray, shape (n_record,)
         Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
     outside : ndarray of bool, shape (n_record,)
-        Whether the noise bank does not reach to the record.
+        Whether the noise does not reach to the record.
     clipped : ndarray, shape (n_record,)
         What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
     """
@@ -179,10 +179,8 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
     chains, streams = sample(
         options.sampler,
         posterior,
-        seed=options.seed,
         keys=batch.key,
-        target_ess=int(np.ceil(ESS_MARGIN * options.target_ess)) if sonic else options.target_ess,
-        max_extension=options.max_extension,
+        effort=options.effort,
     )
     clipped = np.zeros(len(batch))
     if sonic:  # before anything else is drawn, so that it is the same with and without predictions
@@ -244,10 +242,8 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     chains, streams = sample(
         options.sampler,
         posterior,
-        seed=options.seed,
         keys=batch.key,
-        target_ess=options.target_ess,
-        max_extension=options.max_extension,
+        effort=options.effort,
     )
     n_chain, n_draw, k = chains.coordinate.shape[1:]
     some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
@@ -320,7 +316,7 @@ def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicN
 
 
 def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
-    """Return the noise of records; of their own turbulence where they have one and the bank spans several."""
+    """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
     return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
+
+import numpy as np
 
 from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
-from bayes_rs.options import described, option
+from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
+from bayes_rs.posteriors.sampling.chains import Effort
+from bayes_rs.posteriors.sonic import ESS_MARGIN
 from bayes_rs.priors.registry import Prior, make_prior
 
 TARGETS = {
@@ -125,6 +130,12 @@ class FitOptions:
         """The instrument's noise that all records share, m² s⁻²; 0 where the records hold their own."""
         return 0.0 if isinstance(self.instrument_noise, str) else float(self.instrument_noise)
 
+    @property
+    def effort(self) -> Effort:
+        """What the sampler does: a sonic's tensors are worth less than the draws of R that they scatter about."""
+        margin = ESS_MARGIN if self.target == "sonic" else 1.0
+        return Effort(int(self.seed), int(np.ceil(margin * self.target_ess)), self.max_extension)
+
     def keeps_draws(self, n_record: int) -> bool:
         """Say whether the draws of so many records are kept."""
         return self.draws != "none" and (self.draws != "auto" or n_record <= MOST_KEPT)
@@ -155,6 +166,26 @@ class NoiseOptions:
     )
     noise_method: str = option(
         "theory", "How the noise is made", choices="bayes_rs.noise.calibrating:METHODS", flag="--noise-method"
+    )
+
+
+def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]:
+    """Return the options of a fit by their classes.
+
+    Raises
+    ------
+    InputError
+        If one is not known.
+    """
+    of_fit = {entry.name for entry in options_of(FitOptions)}
+    of_noise = {entry.name for entry in options_of(NoiseOptions)} - {"noise"}
+    for name in options:
+        if name not in of_fit | of_noise:
+            known = dict.fromkeys(sorted(of_fit | of_noise))
+            raise InputError(f"Unknown option {name!r} of fit: {nearest(name, known)}.")
+    return (
+        FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
+        NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,10 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.begin_folder import begin_result_folder
-from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit
@@ -24,7 +23,7 @@ from bayes_rs.fits.workers import check_workers, done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.options import nearest, options_of, to_plain
+from bayes_rs.options import to_plain
 from bayes_rs.progress import progress_counter
 
 
@@ -136,26 +135,6 @@ def fit(
     ) as folder:
         fit_into(folder, plan, workers=workers, client=client, progress=progress)
     return open_fit(output)
-
-
-def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]:
-    """Return the options of a fit by their classes.
-
-    Raises
-    ------
-    InputError
-        If one is not known.
-    """
-    of_fit = {entry.name for entry in options_of(FitOptions)}
-    of_noise = {entry.name for entry in options_of(NoiseOptions)} - {"noise"}
-    for name in options:
-        if name not in of_fit | of_noise:
-            known = dict.fromkeys(sorted(of_fit | of_noise))
-            raise InputError(f"Unknown option {name!r} of fit: {nearest(name, known)}.")
-    return (
-        FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
-        NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),
-    )
 
 
 def with_median_length_scale(

@@ -97,7 +97,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         key_parts=parts,
         resume=settings.output.resume,
         overwrite=settings.output.overwrite,
-        inputs=[file for file in files if Path(file).exists()],
+        inputs=settings.input_files(),
     ) as folder:
         about: dict[str, Any] = {"source_files": [Path(file).name for file in files], "bad_files": {}}
         if records is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,19 +14,17 @@ from scipy.special import gammaln, logsumexp
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch, make_posterior
-from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.fit_options import FitOptions, split_options
 from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
 from bayes_rs.noise.noise import Noise
-from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
-from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as progress_bar
 
 TARGETS = ("record", "ensemble")
@@ -68,14 +67,11 @@ def compare_inflow(
     scan: Scan,
     *,
     noise: Noise,
-    nuisances: Nuisances,
     seed: int,
-    prior: str | Prior = "weak",
-    target: str = "record",
-    instrument_noise: float | str = 0.0,
     n_draw: int = 4096,
     leave_one_out: bool = True,
     progress: bool | None = None,
+    **options: Any,
 ) -> pd.DataFrame:
     """Compare, record by record, a homogeneous inflow with one whose stresses have gradients.
 
@@ -83,22 +79,18 @@ def compare_inflow(
     ----------
     records, scan, noise
         As in `fit`.
-    nuisances : Nuisances
-        With a ``vertical_gradient_sd``, a ``lateral_gradient_sd`` or both; the homogeneous inflow is the same without.
     seed : int
         Seed; a record's numbers do not depend on the records beside it.
-    prior
-        As in `fit`.
-    target : str
-        ``"record"`` or ``"ensemble"``.
-    instrument_noise
-        As in `fit`.
     n_draw : int
         Weighted draws of a posterior; the Monte-Carlo errors fall with its root.
     leave_one_out : bool
         Predict each beam from the others, too: fits every record once more for each beam.
     progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
+    **options
+        As in `fit`: ``nuisances`` with a ``vertical_gradient_sd``, a ``lateral_gradient_sd`` or both, of which the
+        homogeneous inflow is the same without; ``prior``, ``instrument_noise``; and ``target``, ``"record"`` or
+        ``"ensemble"``.
 
     Returns
     -------
@@ -161,17 +153,10 @@ def compare_inflow(
     True
     """
     check_count(n_draw, what="n_draw", minimum=100)
-    check_choice(target, TARGETS, what="target of a comparison")
-    options = FitOptions(
-        prior=prior,
-        target=target,
-        sampler="direct",
-        nuisances=nuisances,
-        instrument_noise=instrument_noise,
-        target_ess=n_draw,
-        max_extension=0,
-        seed=seed,
-    )
+    given = {**options, "seed": seed, "sampler": "direct", "target_ess": n_draw, "max_extension": 0}
+    asked, _ = split_options(given)
+    check_choice(asked.target, TARGETS, what="target of a comparison")
+    nuisances = asked.nuisances
     if not nuisances.gradient_names:
         raise InputError(
             "The nuisances have no gradient, so there is nothing to compare: give Nuisances a vertical_gradient_sd or "
@@ -181,14 +166,14 @@ def compare_inflow(
         raise InputError(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )
-    scan, noise, batch = prepare(records, scan, noise, options)
+    scan, noise, batch = prepare(records, scan, noise, asked)
     fitted = can_be_fitted(batch)
     size = max(1, _NUMBERS // (n_draw * scan.n_beam))
     chunks = [fitted[start : start + size] for start in range(0, len(fitted), size)]
     silent = None if progress is None else not progress
     found: dict[str, FloatArray] = {}
     for chunk in progress_bar(chunks, len(chunks), "comparing inflows", disable=silent):
-        for name, values in _compare(batch.take(chunk), noise, options, leave_one_out).items():
+        for name, values in _compare(batch.take(chunk), noise, asked, leave_one_out).items():
             found.setdefault(name, np.full(len(batch), np.nan))[chunk] = values
     start = records["time"].values if "time" in records.coords else np.full(len(batch), np.datetime64("NaT", "ns"))
     table = pd.DataFrame({"record": np.arange(len(batch)), "time": start, **found})

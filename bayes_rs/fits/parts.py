@@ -22,7 +22,6 @@ from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_fra
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
-from bayes_rs.posteriors.sonic import ESS_MARGIN
 
 _FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
 """What the likelihood of a record may fail with."""
@@ -84,8 +83,7 @@ class Done:
 
 def n_kept(options: FitOptions) -> int:
     """Return how many draws of each chain of a record a fit makes."""
-    margin = ESS_MARGIN if options.target == "sonic" else 1.0
-    return kept_draws(int(np.ceil(margin * options.target_ess)))
+    return kept_draws(options.effort.target_ess)
 
 
 def batch_size(n_beam: int) -> int:

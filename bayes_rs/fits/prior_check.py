@@ -13,7 +13,8 @@ import xarray as xr
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fitting import fit, split_options, with_median_length_scale
+from bayes_rs.fits.fit_options import split_options
+from bayes_rs.fits.fitting import fit, with_median_length_scale
 from bayes_rs.fits.noise_choice import given_noise, noise_and_records
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan

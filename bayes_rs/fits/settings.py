@@ -216,6 +216,11 @@ class Settings:
         with output_file(path, overwrite=overwrite) as part:
             part.write_text(tomli_w.dumps(plain), encoding="utf-8")
 
+    def input_files(self) -> list[str]:
+        """Return the files that the settings name and that are there: what is read, and may not lie in the output."""
+        named = [*self.files.files, *self.records.motion, self.noise.noise, self.noise.turbulence, self.scan.scan]
+        return [str(name) for name in named if name is not None and Path(name).exists()]
+
     def with_whole_paths(self) -> Settings:
         """Return the settings with the paths of files from the root on, so that they hold in every folder."""
         here = Path.cwd()

@@ -37,7 +37,7 @@ class ReducedRecordNoise:
     log_variance : ndarray, shape (n_record, n_beam)
         diag C.
     outside : ndarray of bool, shape (n_record,)
-        Whether the noise bank does not reach to the record.
+        Whether the noise does not reach to the record.
     """
 
     gain: FloatArray
@@ -48,12 +48,12 @@ class ReducedRecordNoise:
 
 
 class ReducedNoise:
-    """A noise bank whose covariances are reduced to a few directions in the space of the beams.
+    """Noise whose covariances are reduced to a few directions in the space of the beams.
 
     Parameters
     ----------
     bank : Noise
-        Bank whose states form a net, of beams that see points.
+        Noise whose states form a net, of beams that see points.
     gradients : sequence of str
         Gradients of R that may move the data besides; see `gradient_columns`.
 
@@ -67,7 +67,7 @@ class ReducedNoise:
     Notes
     -----
     The data of a record are Uᵀ ln y, and need no more of C = ln(1 + K) than Uᵀ C U and diag C. Those are interpolated:
-    the logarithms of the trace and of the variances, and the matrix over its trace. At the bank's states they are
+    the logarithms of the trace and of the variances, and the matrix over its trace. At the noise's states they are
     exact; between them the error is that of the interpolation, as it is for whole covariances.
     """
 
@@ -91,7 +91,7 @@ class ReducedNoise:
 
     @staticmethod
     def suits(bank: Noise) -> bool:
-        """Tell whether a bank can be reduced: that of many points, in a net. Records must use every beam besides."""
+        """Tell whether noise can be reduced: that of many points, in a net. Records must use every beam besides."""
         return (
             bank.net is not None and bank.n_beam >= LEAST_BEAMS and float(np.max(np.abs(bank.probe_change()))) < _POINTS
         )
@@ -111,5 +111,5 @@ class ReducedNoise:
 
 @lru_cache(maxsize=2)
 def reduced(bank: Noise, gradients: tuple[str, ...] = ()) -> ReducedNoise:
-    """Return the reduced bank; that of the same bank and gradients is made once."""
+    """Return the reduced noise; that of the same noise and gradients is made once."""
     return ReducedNoise(bank, gradients)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
-from bayes_rs.theory.pairs import distinct_pairs
+from bayes_rs.theory.pairs import Pairs, distinct_pairs
 from bayes_rs.theory.probed import CHUNK, probe_transfer, probed_covariance
 from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.theory.sonic_theory import SonicMoments, sonic_moments, whitened_moments
@@ -114,26 +115,7 @@ def theory_noise(
     count = sample_counts(scan, duration, detrend)
     scan, about_probe, rows = _apply_probe(scan, line_of_sight, turbulence, tolerance, probe_tolerance)
     pairs = distinct_pairs(scan, line_of_sight, count, wind_speed)
-    inner, trace = np.empty(len(pairs.across)), np.empty(len(pairs.across))
-    for samples in np.unique(pairs.samples, axis=0):
-        members = np.flatnonzero(np.all(pairs.samples == samples, axis=1))
-        n_a, n_b = int(samples[0]), int(samples[1])
-        lag = wind_speed * scan.scan_duration * np.arange(-(n_a - 1), n_b)
-        for part in np.array_split(members, int(np.ceil(len(members) * len(lag) / CHUNK))):
-            covariance = probed_covariance(
-                pairs.first[part],
-                pairs.second[part],
-                pairs.across[part],
-                pairs.along[part, np.newaxis] - lag,
-                turbulence,
-                probe=scan.probe,
-                lengths=pairs.lengths[part],
-                tolerance=tolerance,
-            )
-            inner[part] = toeplitz_inner(covariance, covariance, n_a, n_b, detrend=detrend) / (n_a * n_b)
-            own = pairs.own[part]
-            if np.any(own):  # then n_a = n_b
-                trace[part[own]] = toeplitz_trace(covariance[own], n_a, detrend=detrend) / n_a
+    inner, trace = _pair_moments(pairs, scan, turbulence, wind_speed, detrend, tolerance)
     mean = trace[pairs.distinct[pairs.row == pairs.column]]
     gain = rows
     if not isinstance(scan.probe, PointProbe):
@@ -145,29 +127,17 @@ def theory_noise(
     relative[pairs.column, pairs.row] = relative[pairs.row, pairs.column]
     error = _covariance_error(relative, mean, promised * float(turbulence.stresses()[0]))
     if about_probe:
-        probe_error = PROBE_ERROR
-        if about_probe["probe_as_points"]:  # the loss changes every covariance by that part of a variance, and E twice
-            lost = max(about_probe["probe_loss"], 0.0)
-            lost_covariance = _covariance_error(relative, mean, lost * float(np.max(expected)))
-            probe_error = 2.0 * lost + lost_covariance / float(np.max(relative))
-        about_probe["probe_error"] = probe_error
-        error += probe_error * float(np.max(relative))
+        about_probe["probe_error"] = _probe_error(about_probe, relative, mean, float(np.max(expected)))
+        error += about_probe["probe_error"] * float(np.max(relative))
     relative, negative_part = _nearest_covariance(relative, error)
     about_sonic: dict[str, Any] = {}
-    sonic_covariance = sonic_beam_covariance = None
+    with_sonic: dict[str, Any] = {}
     if sonic:
-        moments = sonic_moments(
-            scan,
-            turbulence,
-            wind_speed=wind_speed,
-            duration=duration,
-            yaw=angle,
-            position=sonic_position,
-            detrend=detrend,
-            tolerance=tolerance,
-        )
-        sonic_covariance, sonic_beam_covariance = whitened_moments(moments, mean)
         about_sonic = {"sonic_position": [float(value) for value in np.asarray(sonic_position)]}
+        common: dict[str, Any] = {"wind_speed": wind_speed, "duration": duration, "yaw": angle, "detrend": detrend}
+        moments = sonic_moments(scan, turbulence, position=sonic_position, tolerance=tolerance, **common)
+        own, across = whitened_moments(moments, mean)
+        with_sonic = {"sonic_covariance": own, "sonic_beam_covariance": across}
     return Noise(
         bias=mean / expected - 1.0,
         gain=gain,
@@ -194,9 +164,43 @@ def theory_noise(
             **about_probe,
             **about_sonic,
         },
-        sonic_covariance=sonic_covariance,
-        sonic_beam_covariance=sonic_beam_covariance,
+        **with_sonic,
     )
+
+
+def _pair_moments(
+    pairs: Pairs, scan: Scan, turbulence: MannTurbulence, wind_speed: float, detrend: str, tolerance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return ‖P C_ab P‖²_F / (N_a N_b) of distinct pairs, and E s² of those of a beam with itself, else nothing."""
+    inner, trace = np.empty(len(pairs.across)), np.empty(len(pairs.across))
+    for samples in np.unique(pairs.samples, axis=0):
+        members = np.flatnonzero(np.all(pairs.samples == samples, axis=1))
+        n_a, n_b = int(samples[0]), int(samples[1])
+        lag = wind_speed * scan.scan_duration * np.arange(-(n_a - 1), n_b)
+        for part in np.array_split(members, int(np.ceil(len(members) * len(lag) / CHUNK))):
+            covariance = probed_covariance(
+                pairs.first[part],
+                pairs.second[part],
+                pairs.across[part],
+                pairs.along[part, np.newaxis] - lag,
+                turbulence,
+                probe=scan.probe,
+                lengths=pairs.lengths[part],
+                tolerance=tolerance,
+            )
+            inner[part] = toeplitz_inner(covariance, covariance, n_a, n_b, detrend=detrend) / (n_a * n_b)
+            own = pairs.own[part]
+            if np.any(own):  # then n_a = n_b
+                trace[part[own]] = toeplitz_trace(covariance[own], n_a, detrend=detrend) / n_a
+    return inner, trace
+
+
+def _probe_error(about_probe: Mapping[str, Any], relative: FloatArray, mean: FloatArray, largest: float) -> float:
+    """Bound the error that the probe's treatment leaves in K, relative to its largest entry."""
+    if not about_probe["probe_as_points"]:
+        return PROBE_ERROR
+    lost = max(about_probe["probe_loss"], 0.0)  # it changes every covariance by that part of a variance, and E twice
+    return float(2.0 * lost + _covariance_error(relative, mean, lost * largest) / float(np.max(relative)))
 
 
 def _apply_probe(

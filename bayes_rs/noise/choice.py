@@ -102,6 +102,8 @@ def noise_for_records(
 
 def known_winds(records: xr.Dataset) -> tuple[FloatArray, FloatArray]:
     """Return wind speeds, m/s, and directions, rad, of the records that have both."""
+    if not {"wind_speed", "yaw"} <= set(records.variables):
+        return np.empty(0), np.empty(0)
     speed, yaw = np.asarray(records["wind_speed"], dtype=np.float64), np.deg2rad(np.asarray(records["yaw"], np.float64))
     known = np.isfinite(speed) & np.isfinite(yaw) & (speed > 0.0)
     return speed[known], yaw[known]

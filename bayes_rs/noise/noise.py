@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,23 +11,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_array, check_choice, check_positive
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan, yaw_matrix
-from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.checking import checked_fields
 from bayes_rs.noise.flow_states import FlowStates
 from bayes_rs.noise.layout import noise_dataset
-from bayes_rs.noise.noise_geometry import check_geometry, check_same_scan, geometry_difference
+from bayes_rs.noise.noise_geometry import check_same_scan, geometry_difference
 from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.noise.sealed import save_dataset
 from bayes_rs.turbulence.interpolation import StateNet
 from bayes_rs.turbulence.mann import MannTurbulence
 
-NOISE_METHODS: tuple[str, ...] = ("boxes", "theory", "given")
-"""Where the numbers of a noise can come from."""
-
-_N_STRESS = len(STRESSES)
 _ABSENT = object()
 _PER_STATE = ("bias", "gain", "covariance", "wind_speed", "yaw", "length_scale", "gamma", "n_realizations")
 _OPTIONAL = ("standard_error", "sonic_covariance", "sonic_beam_covariance")
@@ -175,85 +170,16 @@ class Noise:
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
-        where = f"noise of scan {self.scan_name!r}"
-        beam = np.array(self.beam, dtype=np.int64)
-        if beam.ndim != 1 or len(beam) == 0:
-            raise InputError(f"Invalid beam of shape {beam.shape} in {where}: one number for each beam, at least one.")
-        n_beam = len(beam)
-        geometry = check_geometry(self.scan_geometry, beam, where)
-        check_choice(self.method, NOISE_METHODS, what="method of a noise")
-        check_positive(self.duration, what="duration", unit="s", where=where)
-        coordinates = self._checked_coordinates(where)
-        n_state = len(coordinates["wind_speed"])
-        shapes = {
-            "bias": (n_beam,),
-            "gain": (n_beam, _N_STRESS),
-            "covariance": (n_beam, n_beam),
-            "standard_error": (n_beam, n_beam),
-            "sonic_covariance": (_N_STRESS, _N_STRESS),
-            "sonic_beam_covariance": (_N_STRESS, n_beam),
-        }
-        given = {name: getattr(self, name) for name in shapes if getattr(self, name) is not None}
-        if ("sonic_covariance" in given) != ("sonic_beam_covariance" in given):
-            raise InputError(
-                f"Invalid moments with a sonic in {where}: give both, sonic_covariance and sonic_beam_covariance, or "
-                "none."
-            )
-        arrays = {
-            name: _with_states(values, n_state, shapes[name], what=f"{name} in {where}")
-            for name, values in given.items()
-        }
-        _check_covariances(arrays["covariance"], where)
-        if "sonic_covariance" in arrays:
-            _check_covariances(arrays["sonic_covariance"], f"sonic_covariance in {where}")
-        for key, array in {**arrays, **coordinates, "beam": beam}.items():
-            frozen = array.copy()
-            frozen.flags.writeable = False
-            object.__setattr__(self, key, frozen)
-        object.__setattr__(self, "scan_geometry", geometry)
-        own = tuple(_plain(one, where) for one in self.state_details)
-        if len(own) not in (0, n_state):
-            raise InputError(
-                f"Invalid state_details in {where}: {len(own)} for {n_state} states; give one for each, or none."
-            )
-        object.__setattr__(self, "details", _plain(self.details, where))
-        object.__setattr__(self, "state_details", own if any(own) else ())
+        for name, value in checked_fields(vars(self)).items():
+            object.__setattr__(self, name, value)
         states = FlowStates(self.wind_speed, self.yaw, self.length_scale, self.gamma)
         object.__setattr__(self, "states", states)
         if states.net is None and self.n_turbulence > 1:
             raise InputError(
-                f"Invalid states in {where}: they are of {self.n_turbulence} turbulences and form no net; only a net, "
-                "with every combination of wind speed, direction, L and Γ, may have several turbulences."
+                f"Invalid states in noise of scan {self.scan_name!r}: they are of {self.n_turbulence} turbulences and "
+                "form no net; only a net, with every combination of wind speed, direction, L and Γ, may have several "
+                "turbulences."
             )
-
-    def _checked_coordinates(self, where: str) -> dict[str, FloatArray]:
-        """Return wind speed, yaw, L, Γ and the number of realizations of each state."""
-        flow = self.turbulence
-        given: dict[str, Any] = {
-            "wind_speed": self.wind_speed,
-            "yaw": self.yaw,
-            "length_scale": flow.length_scale if self.length_scale is None else self.length_scale,
-            "gamma": flow.gamma if self.gamma is None else self.gamma,
-        }
-        n_state = len(np.atleast_1d(self.wind_speed))
-        if n_state == 0:
-            raise InputError(f"Invalid wind_speed in {where}: it needs at least one state.")
-        found = {
-            name: check_array(_for_each(values, n_state), (n_state,), what=f"{name} in {where}")
-            for name, values in given.items()
-        }
-        check_positive(float(np.min(found["wind_speed"])), what="wind_speed", unit="m/s", where=where)
-        check_positive(float(np.min(found["length_scale"])), what="length_scale", unit="m", where=where)
-        for name, values in (("length_scale", found["length_scale"]), ("gamma", found["gamma"])):
-            if values[0] != getattr(flow, name):
-                raise InputError(
-                    f"Invalid turbulence in {where}: its {name} is {getattr(flow, name):g} and that of the first state "
-                    f"is {values[0]:g}."
-                )
-        realizations = np.array(_for_each(self.n_realizations, n_state), dtype=np.float64)
-        if realizations.shape != (n_state,) or not np.all(realizations > 0.0):
-            raise InputError(f"Invalid n_realizations {self.n_realizations!r} in {where}: it must be above zero.")
-        return {**found, "n_realizations": realizations}
 
     @classmethod
     def join(cls, parts: Sequence[Noise]) -> Noise:
@@ -717,49 +643,6 @@ class Noise:
         return {**self.details, **(self.state_details[index] if self.state_details else {})}
 
 
-def _with_states(values: ArrayLike, n_state: int, shape: tuple[int, ...], *, what: str) -> FloatArray:
-    """Check an array with one entry for each state; that of one state may be without the axis."""
-    array = np.asarray(values, dtype=np.float64)
-    if n_state == 1 and array.ndim == len(shape):
-        array = check_array(array, shape, what=what)[np.newaxis]
-    return check_array(array, (n_state, *shape), what=what)
-
-
-def _for_each(values: ArrayLike, n_state: int) -> Any:
-    return np.full(n_state, values) if np.ndim(values) == 0 else values
-
-
-def _plain(details: Mapping[str, Any], where: str) -> dict[str, Any]:
-    try:
-        return dict(json.loads(json.dumps(dict(details))))
-    except TypeError as error:
-        raise InputError(f"Invalid details in {where}: {error}, and they must be plain JSON values.") from error
-
-
 def _span(values: FloatArray) -> str:
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-
-
-def _check_covariances(covariance: FloatArray, where: str) -> None:
-    """Check that matrices, shape (n_state, n, n), are symmetric and have no eigenvalue below zero."""
-    for matrix in covariance:
-        _check_covariance(matrix, where)
-
-
-def _check_covariance(covariance: FloatArray, where: str) -> None:
-    size = float(np.max(np.abs(covariance)))
-    asymmetry = np.abs(covariance - covariance.T)
-    if np.any(asymmetry > 1e-12 * size):
-        first = tuple(int(i) for i in np.argwhere(asymmetry > 1e-12 * size)[0])
-        raise InputError(
-            f"Invalid covariance in {where}: the entry at {first} is {covariance[first]:g} and its mirror image is "
-            f"{covariance.T[first]:g}, and the matrix must be symmetric."
-        )
-    eigenvalues = np.linalg.eigvalsh(covariance)
-    if eigenvalues[0] < -64.0 * len(covariance) * np.finfo(np.float64).eps * size:
-        raise NotPositiveDefiniteError(
-            f"Invalid covariance in {where}: its smallest eigenvalue is {eigenvalues[0]:g}, and a covariance has none "
-            "below zero; check the numbers given.",
-            smallest_eigenvalue=float(eigenvalues[0]),
-        )

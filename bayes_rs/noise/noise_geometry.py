@@ -1,4 +1,4 @@
-"""Which scan a noise model belongs to: its geometry, and in what another scan differs."""
+"""Which scan noise belongs to: its geometry, and in what another scan differs."""
 
 from __future__ import annotations
 

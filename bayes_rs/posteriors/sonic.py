@@ -342,7 +342,7 @@ def _checked_root(left: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatA
         raise NotPositiveDefiniteError(
             f"The moments of the sonic and the beams of record {worst} contradict each other: given the beams, the "
             f"sonic's covariance has the eigenvalue {values[worst, 0]:.3g}, {below[worst]:.2g} of the largest below "
-            f"zero, and {CLIP_LIMIT:g} is allowed; make the noise bank with a smaller tolerance.",
+            f"zero, and {CLIP_LIMIT:g} is allowed; make the noise with a smaller tolerance.",
             smallest_eigenvalue=float(values[worst, 0]),
         )
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, np.newaxis]), below

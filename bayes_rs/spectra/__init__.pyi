@@ -6,4 +6,3 @@ from .noise_estimate import estimate_instrument_noise as estimate_instrument_noi
 from .noise_estimate import with_instrument_noise as with_instrument_noise
 from .radial_spectrum import average_spectra as average_spectra
 from .radial_spectrum import radial_spectra as radial_spectra
-from .spectra_plot import plot_spectra as plot_spectra

@@ -55,7 +55,7 @@ def along_wind_spectra(spectra: xr.Dataset, scan: Scan | str | Path, fit: xr.Dat
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
     >>> spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-    >>> fitted = brs.fit_spectra(spectra, scan, instrument_noise_sd=0.0, show_progress=False)
+    >>> fitted = brs.fit_spectra(spectra, scan, instrument_noise_sd=0.0, progress=False)
     >>> along = along_wind_spectra(spectra, scan, fitted)
     >>> bool(np.allclose(along["spectrum"], spectra["spectrum"][:, 0]))
     True

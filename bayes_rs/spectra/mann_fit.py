@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from bayes_rs._validation import FloatArray, check_choice, check_count, check_no
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress as progress_bar
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.information import information_ratio
 from bayes_rs.spectra.lag_window import lag_windows, ordinates
@@ -30,6 +30,17 @@ NOISE_SHARE = 0.2
 
 _NODE_STEP, _REACH = 0.12, 3.0  # of ln L; standard deviations of the prior
 _FINE_STEP = 0.01  # of ln L, for sums over the posterior
+_UNITS = {
+    "length_scale": "m",
+    "length_scale_log_sd": "1",
+    "dissipation": "m4/3 s-2",
+    "dissipation_log_sd": "1",
+    "instrument_noise": "m2 s-2",
+    "instrument_noise_sd": "m2 s-2",
+    "gamma": "1",
+    "gamma_sd": "1",
+}
+"""What is fitted, and its unit."""
 _UNLIKELY = -700.0  # log-density below the maximum at which a node has no weight
 
 
@@ -43,7 +54,7 @@ def fit_spectra(
     instrument_noise_sd: float | None = None,
     beams: str = "together",
     max_beams: int = 6,
-    show_progress: bool | None = None,
+    progress: bool | None = None,
 ) -> xr.Dataset:
     r"""Fit length scale, dissipation and instrument noise to the spectra of every record.
 
@@ -65,7 +76,7 @@ def fit_spectra(
         ``"together"``: a record has one L, dissipation and noise. ``"each"``: every beam has its own.
     max_beams : int
         Of a scan with more beams, so many are fitted, evenly chosen: neighbours tell little more.
-    show_progress : bool, optional
+    progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
 
     Returns
@@ -112,7 +123,7 @@ def fit_spectra(
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")  # L is 61 m
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
     >>> spectra = brs.radial_spectra(series, scan, brs.make_records(series, scan))
-    >>> fit = fit_spectra(spectra, scan, show_progress=False)
+    >>> fit = fit_spectra(spectra, scan, progress=False)
     >>> pooled = pool_length_scale(fit)
     >>> bool(45.0 < pooled["length_scale"][0] < 80.0), bool(pooled["length_scale_log_sd"][0] < 0.15)
     (True, True)
@@ -120,21 +131,13 @@ def fit_spectra(
     scan = as_scan(scan)
     check_spectra(spectra)
     used = scan.select(spectra["beam"].values)
-    check_choice(beams, BEAMS, what="beams")
-    check_count(max_beams, what="max_beams")
-    gammas = np.atleast_1d(np.asarray(gamma, dtype=np.float64))
-    if gammas.ndim != 1 or not np.all(np.isfinite(gammas) & (gammas >= 0.0)) or len(np.unique(gammas)) != len(gammas):
-        raise InputError(f"Invalid gamma {gamma!r}: it must be a number, zero or above, or different ones.")
+    kept = _fitted_beams(used.n_beam, beams, max_beams)
+    gammas = _gammas(gamma)
     median = check_positive(length_scale_prior[0], what="length_scale_prior", unit="m", where="its median")
     width = check_positive(length_scale_prior[1], what="length_scale_prior", unit="", where="its width")
     check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
     if instrument_noise_sd is not None:
         check_non_negative(instrument_noise_sd, what="instrument_noise_sd", unit="m² s⁻²")
-    n_beam = used.n_beam
-    if beams == "together" and n_beam > max_beams:
-        kept = np.unique(np.round(np.linspace(0, n_beam - 1, max_beams)).astype(np.int64))
-    else:
-        kept = np.arange(n_beam)
     n_node = 2 * int(np.ceil(_REACH * width / _NODE_STEP)) + 1
     log_node = np.log(median) + np.linspace(-_REACH * width, _REACH * width, n_node)
     prior = -0.5 * ((log_node - np.log(median)) / width) ** 2
@@ -143,8 +146,8 @@ def fit_spectra(
     shape = (n_record, len(groups))
     states = _States(spectra, used, gammas, log_node, instrument_noise, instrument_noise_sd)
     found: dict[tuple[int, int], _Found] = {}
-    for r in progress(
-        list(range(n_record)), n_record, "spectra", disable=None if show_progress is None else not show_progress
+    for r in progress_bar(
+        list(range(n_record)), n_record, "spectra", disable=None if progress is None else not progress
     ):
         for g, members in enumerate(groups):
             one = states.fit(r, members)
@@ -158,20 +161,8 @@ def fit_spectra(
         if some:
             ratios[g] = states.ratio(members, some, prior)
     log_density = np.full((*shape, len(gammas), n_node), np.nan)
-    columns = {
-        name: np.full(shape, np.nan)
-        for name in (
-            "length_scale",
-            "length_scale_log_sd",
-            "dissipation",
-            "dissipation_log_sd",
-            "instrument_noise",
-            "instrument_noise_sd",
-            "gamma",
-            "gamma_sd",
-        )
-    }
-    expected = np.full((n_record, n_beam, spectra.sizes["frequency"]), np.nan)
+    columns = {name: np.full(shape, np.nan) for name in _UNITS}
+    expected = np.full((n_record, used.n_beam, spectra.sizes["frequency"]), np.nan)
     for (r, g), one in found.items():
         ratio = ratios[g] * one.share
         log_density[r, g] = one.marginal(ratio[1])
@@ -181,20 +172,54 @@ def fit_spectra(
             r, groups[g], float(columns["length_scale"][r, g]), float(gammas[np.argmax(log_density[r, g].max(axis=1))])
         )
         expected[r, groups[g]] = at_best
+    return _fit_dataset(spectra, columns, log_density, expected, gammas, np.exp(log_node), beams).assign_attrs(
+        scan=scan.name,
+        scan_key=scan.key,
+        beams=beams,
+        length_scale_prior=[float(median), float(width)],
+        instrument_noise_prior=[
+            float(instrument_noise),
+            np.nan if instrument_noise_sd is None else float(instrument_noise_sd),
+        ],
+        information_ratio=ratios[:, 1].tolist(),
+        fitted_beams=spectra["beam"].values[kept].tolist(),
+    )
+
+
+def _fitted_beams(n_beam: int, beams: str, max_beams: int) -> NDArray[np.int64]:
+    """Return the places of the beams that are fitted."""
+    check_choice(beams, BEAMS, what="beams")
+    check_count(max_beams, what="max_beams")
+    if beams == "together" and n_beam > max_beams:
+        return np.unique(np.round(np.linspace(0, n_beam - 1, max_beams)).astype(np.int64))
+    return np.arange(n_beam)
+
+
+def _gammas(gamma: ArrayLike) -> FloatArray:
+    gammas = np.atleast_1d(np.asarray(gamma, dtype=np.float64))
+    if gammas.ndim != 1 or not np.all(np.isfinite(gammas) & (gammas >= 0.0)) or len(np.unique(gammas)) != len(gammas):
+        raise InputError(f"Invalid gamma {gamma!r}: it must be a number, zero or above, or different ones.")
+    return gammas
+
+
+def _fit_dataset(
+    spectra: xr.Dataset,
+    columns: Mapping[str, FloatArray],
+    log_density: FloatArray,
+    expected: FloatArray,
+    gammas: FloatArray,
+    length_scales: FloatArray,
+    beams: str,
+) -> xr.Dataset:
+    """Lay out what `fit_spectra` found, along records, and along beams where each has its own."""
     dims = ("record", "beam") if beams == "each" else ("record",)
-    size = shape if beams == "each" else (n_record,)
-    units = {
-        "length_scale": "m",
-        "dissipation": "m4/3 s-2",
-        "instrument_noise": "m2 s-2",
-        "instrument_noise_sd": "m2 s-2",
-    }
+    size = log_density.shape[:2] if beams == "each" else log_density.shape[:1]
     return xr.Dataset(
         {
-            **{name: (dims, values.reshape(size), {"units": units.get(name, "1")}) for name, values in columns.items()},
+            **{name: (dims, values.reshape(size), {"units": _UNITS[name]}) for name, values in columns.items()},
             "log_density": (
                 (*dims, "gamma_node", "length_node"),
-                log_density.reshape(*size, len(gammas), n_node),
+                log_density.reshape(*size, len(gammas), len(length_scales)),
                 {"long_name": "logarithm of the marginal likelihood of gamma and length scale, less its maximum"},
             ),
             "expected": (
@@ -208,19 +233,7 @@ def fit_spectra(
             "beam": ("beam", spectra["beam"].values),
             "frequency": ("frequency", spectra["frequency"].values, {"units": "Hz"}),
             "gamma_node": gammas,
-            "length_node": ("length_node", np.exp(log_node), {"units": "m"}),
-        },
-        attrs={
-            "scan": scan.name,
-            "scan_key": scan.key,
-            "beams": beams,
-            "length_scale_prior": [float(median), float(width)],
-            "instrument_noise_prior": [
-                float(instrument_noise),
-                np.nan if instrument_noise_sd is None else float(instrument_noise_sd),
-            ],
-            "information_ratio": ratios[:, 1].tolist(),
-            "fitted_beams": spectra["beam"].values[kept].tolist(),
+            "length_node": ("length_node", length_scales, {"units": "m"}),
         },
     )
 
@@ -300,7 +313,7 @@ def with_length_scale(records: xr.Dataset, fit: xr.Dataset, pooled: xr.Dataset |
     -------
     records : xarray.Dataset
         With ``length_scale`` (record), m, ``length_scale_log_sd`` (record), and ``gamma`` (record) if several were
-        given to `fit_spectra`. `fit` takes each record's noise at them from a bank that spans them,
+        given to `fit_spectra`. `fit` takes each record's noise at them from noise that spans them,
         ``noise.calibrate(scan, records=records)``. Records without a fitted spectrum get the pooled
         L of the others; the attribute ``length_scale_from_others`` counts them.
 
@@ -315,7 +328,7 @@ def with_length_scale(records: xr.Dataset, fit: xr.Dataset, pooled: xr.Dataset |
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
     >>> records = brs.make_records(series, scan)
-    >>> fitted = brs.fit_spectra(brs.radial_spectra(series, scan, records), scan, show_progress=False)
+    >>> fitted = brs.fit_spectra(brs.radial_spectra(series, scan, records), scan, progress=False)
     >>> "length_scale" in with_length_scale(records, fitted)
     True
     """

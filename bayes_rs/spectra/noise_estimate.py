@@ -218,7 +218,7 @@ def _from_floor(spectra: xr.Dataset, scan: Scan, turbulence: MannTurbulence) -> 
         length_scale_prior=(turbulence.length_scale, 0.5),
         instrument_noise_sd=width,
         beams="each",
-        show_progress=False,
+        progress=False,
     )
     return fit["instrument_noise"].values, fit["instrument_noise_sd"].values
 

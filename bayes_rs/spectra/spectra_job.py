@@ -79,7 +79,7 @@ def run_spectra(
     InputError
         If the folder exists, or input is not valid.
     """
-    from bayes_rs.spectra.spectra_plot import plot_spectra  # noqa: PLC0415 - matplotlib is slow to load
+    from bayes_rs.spectra.spectra_plot import spectra as plot  # noqa: PLC0415 - matplotlib is slow to load
 
     check_output_folder(output, overwrite=overwrite)
     flow = load_turbulence(turbulence)
@@ -110,7 +110,7 @@ def run_spectra(
         write_netcdf(spectra, folder / "spectra.nc")
         write_netcdf(fit, folder / "fit.nc")
         write_netcdf(for_fit, folder / "records.nc")
-        plot_spectra(spectra, fit).savefig(folder / "spectra.png", dpi=130)
+        plot(spectra, fit).savefig(folder / "spectra.png", dpi=130)
         write_run(
             folder,
             {

@@ -18,7 +18,7 @@ _MEASURED, _FITTED, _NOISE = "#1f4e79", "#c26a16", "#6b6b6b"
 _MOST_COLUMNS = 3
 
 
-def plot_spectra(
+def spectra(
     spectra: xr.Dataset,
     fit: xr.Dataset | None = None,
     *,
@@ -59,7 +59,7 @@ def plot_spectra(
     >>> import bayes_rs as brs
     >>> scan, flow = brs.load_scan("staring"), brs.load_turbulence("fu-2022")
     >>> series = brs.simulate(scan, flow, wind_speed=10.0, n_records=2, seed=1)
-    >>> figure = plot_spectra(brs.radial_spectra(series, scan, brs.make_records(series, scan)))
+    >>> figure = spectra(brs.radial_spectra(series, scan, brs.make_records(series, scan)))
     >>> len(figure.axes)
     1
     """

@@ -107,9 +107,9 @@ class TestFolders:
             (folder / "posterior.nc").write_text("old")
         steps = iter(range(100))
 
-        def stopping(original):
+        def stopping(original, within):
             def stepping(path, *arguments, **options):
-                if Path(path).parent == tmp_path and next(steps) == number - 1:
+                if path.parent == within and next(steps) == number - 1:
                     os._exit(9)
                 return original(path, *arguments, **options)
 
@@ -117,8 +117,8 @@ class TestFolders:
 
         child = os.fork()
         if child == 0:
-            monkeypatch.setattr(Path, "replace", stopping(Path.replace))
-            monkeypatch.setattr(shutil, "rmtree", stopping(shutil.rmtree))
+            monkeypatch.setattr(Path, "replace", stopping(Path.replace, tmp_path))
+            monkeypatch.setattr(Path, "unlink", stopping(Path.unlink, tmp_path / ".out.replaced"))
             with output_folder(final, overwrite=True) as folder:
                 write_run(folder, {"n": "new"})
                 (folder / "posterior.nc").write_text("new")

@@ -11,30 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains
+from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains, Effort
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.ensemble import sample_emcee
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 
-def sample_auto(
-    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
-) -> Chains:
+def sample_auto(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
     """Draw directly, and sample with emcee the records for which that does not do; `Chains.sampler` says which.
 
     A record keeps its direct draws if emcee falls short of the target, too, and the weights can be trusted.
     """
-    chains = sample_direct(posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
-    left = np.flatnonzero(chains.missed(target_ess))
+    chains = sample_direct(posterior, streams=streams, effort=effort)
+    left = np.flatnonzero(chains.missed(effort.target_ess))
     if len(left):
-        again = sample_emcee(
-            posterior.take(left),
-            streams=streams.take(left),
-            seed=seed,
-            target_ess=target_ess,
-            max_extension=max_extension,
-        )
-        better = np.flatnonzero(~again.missed(target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
+        again = sample_emcee(posterior.take(left), streams=streams.take(left), effort=effort)
+        better = np.flatnonzero(~again.missed(effort.target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
         chains.put(left[better], again.take(better))
     return chains
 
@@ -44,12 +36,10 @@ SAMPLERS: dict[str, Callable[..., Chains]] = {
     "direct": sample_direct,
     "auto": sample_auto,
 }
-"""The samplers by name: (posterior, *, streams, seed, target_ess, max_extension) → Chains."""
+"""The samplers by name: (posterior, *, streams, effort) → Chains."""
 
 
-def sample(
-    name: str, posterior: Posterior, *, seed: int, keys: NDArray[np.int64], target_ess: int, max_extension: int
-) -> tuple[Chains, RecordStreams]:
+def sample(name: str, posterior: Posterior, *, keys: NDArray[np.int64], effort: Effort) -> tuple[Chains, RecordStreams]:
     """Sample records with the sampler of that name; also return their streams, for what is drawn after.
 
     Parameters
@@ -58,14 +48,10 @@ def sample(
         One of `SAMPLERS`.
     posterior : Posterior
         Posterior of n_record records.
-    seed : int
-        Seed of the fit.
     keys : ndarray of int, shape (n_record,)
         What makes each record's random stream its own.
-    target_ess : int
-        Bulk effective sample size to reach for every stress.
-    max_extension : int
-        How often a record's chain may be doubled.
+    effort : Effort
+        Seed of the fit, effective sample size to reach, and how often a record's chain may be doubled for it.
 
     Returns
     -------
@@ -74,6 +60,6 @@ def sample(
     streams : RecordStreams
         The records' streams.
     """
-    streams = RecordStreams(seed, keys)
-    made = SAMPLERS[name](posterior, streams=streams, seed=seed, target_ess=target_ess, max_extension=max_extension)
+    streams = RecordStreams(effort.seed, keys)
+    made = SAMPLERS[name](posterior, streams=streams, effort=effort)
     return made, streams

@@ -24,6 +24,25 @@ BLOCK = 16
 
 
 @dataclass(frozen=True)
+class Effort:
+    """How much a sampler does, and from which seed.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fit.
+    target_ess : int
+        Bulk effective sample size to reach for every stress.
+    max_extension : int
+        How often what a record has, of chains or proposals, may be doubled.
+    """
+
+    seed: int
+    target_ess: int
+    max_extension: int
+
+
+@dataclass(frozen=True)
 class Chains:
     """Draws of the posteriors of some records, with what the sampler can say of them.
 

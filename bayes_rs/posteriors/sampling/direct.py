@@ -12,7 +12,7 @@ from scipy.stats import qmc
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, kept_draws
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, Effort, kept_draws
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
@@ -24,9 +24,7 @@ _BLOCK_NUMBERS = 4_000_000
 """Expected variances, of records × draws × beams, that are evaluated together: 32 MB."""
 
 
-def sample_direct(
-    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
-) -> Chains:
+def sample_direct(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
     """Draw from a Student-t fitted to each record, weigh, and resample to draws of equal weight.
 
     Parameters
@@ -35,12 +33,9 @@ def sample_direct(
         Posterior of n_record records.
     streams : RecordStreams
         Their random streams.
-    seed : int
-        Seed of the fit.
-    target_ess : int
-        Effective sample size to reach for every stress.
-    max_extension : int
-        How often the number of proposals of a record may be doubled; its proposal is fitted again each time.
+    effort : Effort
+        Effective sample size to reach, and how often the number of a record's proposals may be doubled for it; its
+        proposal is fitted again each time.
 
     Returns
     -------
@@ -59,7 +54,7 @@ def sample_direct(
     ----------
     Owen (2023), Practical Quasi-Monte Carlo Integration, Ch. 17, https://artowen.su.domains/mc/practicalqmc.pdf.
     """
-    n_draw = kept_draws(target_ess)
+    n_draw = kept_draws(effort.target_ess)
     n_keep = n_draw * N_CHAIN // N_ENSEMBLE  # of an ensemble
     n_record, k = posterior.n_record, posterior.n_coordinate
     proposal = laplace_proposal(posterior)
@@ -77,15 +72,15 @@ def sample_direct(
     )
     missing = np.arange(n_record)
     log_size = int(np.ceil(np.log2(n_keep)))
-    for extension in range(max_extension + 1):
+    for extension in range(effort.max_extension + 1):
         mean, covariance = np.empty((len(missing), k)), np.empty((len(missing), k, k))
         size = 2 ** (log_size + extension)
         step = max(1, _BATCH * n_keep // size)
         for start in range(0, len(missing), step):
             part = slice(start, start + step)
-            mean[part], covariance[part] = _draw(posterior, proposal, missing[part], streams, seed, size, chains)
-        short = chains.missed(target_ess)[missing]
-        if not short.any() or extension == max_extension:
+            mean[part], covariance[part] = _draw(posterior, proposal, missing[part], streams, effort.seed, size, chains)
+        short = chains.missed(effort.target_ess)[missing]
+        if not short.any() or extension == effort.max_extension:
             break
         proposal = proposal.refitted(missing[short], mean[short], covariance[short])
         missing = missing[short]

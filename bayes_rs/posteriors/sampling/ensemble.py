@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.sampling.chains import (
+    N_CHAIN,
+    N_ENSEMBLE,
+    N_WALKER,
+    Chains,
+    Effort,
+    diagnose_stress,
+    kept_draws,
+)
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
 N_BURN_IN = 16
@@ -26,9 +34,7 @@ _DIFFERENTIAL_EVERY = 4
 """Every so many steps the move is differential evolution instead of an independent proposal."""
 
 
-def sample_emcee(
-    posterior: Posterior, *, streams: RecordStreams, seed: int, target_ess: int, max_extension: int
-) -> Chains:
+def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
     """Sample records with one emcee ensemble; double the chains of those that miss the target, up to a budget.
 
     Parameters
@@ -37,20 +43,16 @@ def sample_emcee(
         Posterior of n_record records.
     streams : RecordStreams
         Their random streams.
-    seed : int
-        Seed of the fit.
-    target_ess : int
-        Bulk effective sample size to reach for every stress.
-    max_extension : int
-        How often a chain may be doubled.
+    effort : Effort
+        Effective sample size to reach, and how often a chain may be doubled for it.
 
     Returns
     -------
     chains : Chains
         The draws; a doubled chain is thinned to the length of the others.
     """
-    n_draw = kept_draws(target_ess)
-    sampler = RecordSampler(posterior, seed, streams)
+    n_draw = kept_draws(effort.target_ess)
+    sampler = RecordSampler(posterior, effort.seed, streams)
     everyone = np.arange(posterior.n_record)
     coordinate, acceptance = sampler.run(_STRIDE * n_draw, everyone)
     coordinate = np.ascontiguousarray(coordinate[:, :, _STRIDE - 1 :: _STRIDE])
@@ -68,8 +70,8 @@ def sample_emcee(
         np.full(len(everyone), np.nan),
         np.full(len(everyone), "emcee", dtype="U16"),
     )
-    for extension in range(max_extension):
-        missing = np.flatnonzero(chains.missed(target_ess))
+    for extension in range(effort.max_extension):
+        missing = np.flatnonzero(chains.missed(effort.target_ess))
         if len(missing) == 0:
             break
         stride = _STRIDE * 2 ** (extension + 1)
