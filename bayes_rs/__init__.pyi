@@ -27,7 +27,6 @@ from .fits.fitting import fit as fit
 from .fits.from_files import fit_files as fit_files
 from .fits.gradient_sight import inflow_confounding as inflow_confounding
 from .fits.inflow_comparison import compare_inflow as compare_inflow
-from .fits.inflow_comparison import inflow_in_words as inflow_in_words
 from .fits.prior_check import prior_sensitivity as prior_sensitivity
 from .fits.settings import Settings as Settings
 from .geometry.scan import Scan as Scan

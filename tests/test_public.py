@@ -39,7 +39,6 @@ PUBLIC = [
     "fit_files",
     "geometry",
     "inflow_confounding",
-    "inflow_in_words",
     "load_scan",
     "load_turbulence",
     "make_records",
