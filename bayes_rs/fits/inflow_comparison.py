@@ -81,10 +81,12 @@ def compare_inflow(
 
     Parameters
     ----------
-    records, scan, noise
+    records, scan
         As in `fit`.
     seed : int
         Seed; a record's numbers do not depend on the records beside it.
+    noise : Noise, str or Path, optional
+        As in `fit`.
     n_draw : int
         Weighted draws of a posterior; the Monte-Carlo errors fall with its root.
     leave_one_out : bool
