@@ -15,7 +15,7 @@ from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise import at_states, net
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.choice import noise_for_records
-from bayes_rs.noise.net import refined_noise
+from bayes_rs.noise.net import measure_interpolation, refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.turbulence.interpolation import combine, find_net, interpolate_covariance, nearest_semidefinite
@@ -80,7 +80,8 @@ class TestStatedError:
             set(zip(noise.wind_speed.tolist(), noise.yaw.round(9).tolist(), strict=True)) for noise in (coarse, fine)
         )
         assert kept < all_of_them
-        assert measured_error(fine, load_scan("staring")) == pytest.approx(fine.interpolation_error)
+        for measured in (measured_error, measure_interpolation):
+            assert measured(fine, load_scan("staring")) == pytest.approx(fine.interpolation_error)
 
     def test_a_limit_of_states_is_told_by_the_error(self, monkeypatch):
         monkeypatch.setattr(net, "_MOST_STATES", 20)
@@ -134,6 +135,11 @@ class TestStatedError:
     def test_message(self, change, message):
         with pytest.raises(InputError, match=message):
             refined_noise(load_scan("staring"), FLOW, **{**FREE, **change})
+
+    def test_states_without_a_net_cannot_be_measured(self):
+        one = theory_noise(load_scan("staring"), FLOW, wind_speed=9.0)
+        with pytest.raises(InputError, match="form no net"):
+            measure_interpolation(one, load_scan("staring"))
 
 
 class TestCache:

@@ -150,6 +150,40 @@ def refined_noise(
     return noise
 
 
+def measure_interpolation(noise: Noise, scan: Scan, *, progress: bool | None = None) -> float:
+    """Return the largest relative error of K between the states of a net by theory, measured with all its beams.
+
+    Parameters
+    ----------
+    noise : Noise
+        Noise by theory whose states form a net.
+    scan : Scan
+        Its scan.
+    progress : bool, optional
+        Show a progress bar; by default if stderr is a terminal.
+
+    Returns
+    -------
+    error : float
+        max ‖K_interpolated − K_theory‖ / ‖K_theory‖ (Frobenius) in the middle of every cell; 0 if there is no cell.
+
+    Raises
+    ------
+    InputError
+        If the states form no net, or the scan is another.
+    """
+    noise.check_scan(scan)
+    if noise.net is None:
+        raise InputError("The states of this noise form no net, so nothing is interpolated between them.")
+    axes = [noise.net.axes[0], np.rad2deg(noise.net.axes[1]), noise.net.axes[2], noise.net.axes[3]]
+    middle = _points(_middles(axes))
+    truth = _Theory(scan, noise.turbulence, noise.duration, progress).covariances(middle)
+    between = noise.for_records(
+        np.exp(middle[:, 0]), np.deg2rad(middle[:, 1]), length_scale=np.exp(middle[:, 2]), gamma=middle[:, 3]
+    )
+    return _largest(between.covariance, truth)
+
+
 class _Theory:
     """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
 
