@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
-from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
+from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
+from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
 from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
 
@@ -25,8 +26,6 @@ WEIGHTS = ("none", "noise")
 IEC_RATIOS = (0.64, 0.25)
 """vv/uu and ww/uu of IEC 61400-1: standard deviations of 0.8 and 0.5 times that of u."""
 
-_ROW_TOLERANCE = 1e-7
-"""Singular vectors are exact to rounding over the smallest singular value that counts, 1e-16 / 1e-9."""
 _CHUNK_NUMBERS = 4_000_000
 """Entries of the arrays of records that are solved together: 32 MB an array."""
 _IDENTITY = np.eye(len(STRESSES))
@@ -206,14 +205,14 @@ def estimate(
     used = (records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance) & np.isfinite(yaw)[:, None]
     # the tensor's six rows come last: realizability needs them, the method's own stresses are among them
     rows = np.concatenate([wanted, _IDENTITY])
-    solved = _Solved.empty(len(variance), len(rows))
+    solved = Solved.empty(len(variance), len(rows))
     n_outside = 0
     size = max(1, _CHUNK_NUMBERS // (scan.n_beam * (len(STRESSES) if noise is None else scan.n_beam)))
     for start in range(0, len(variance), size):
         part = slice(start, start + size)
         design = np.where(used[part, :, None], design_matrix(scan.at_yaw(np.nan_to_num(yaw[part]))), 0.0) @ form.basis
         data = np.where(used[part], variance[part], 0.0)
-        inverse, seen = _pseudo_inverse(design)
+        inverse, seen = pseudo_inverse(design)
         mean = np.einsum("rbp,rpc,rc->rb", design, inverse, data)
         covariance = None
         if noise is not None:
@@ -239,61 +238,6 @@ def estimate(
     )
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """Estimates of linear combinations, shape (n_record, n_row): NaN where they are not identified."""
-
-    value: FloatArray
-    error: FloatArray
-    identified: BoolArray
-
-    @classmethod
-    def empty(cls, n_record: int, n_row: int) -> _Solved:
-        """Return room for the estimates."""
-        shape = (n_record, n_row)
-        return cls(np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_))
-
-    def take(self, columns: slice, shown: BoolArray | bool) -> _Solved:
-        """Return some of the combinations, NaN and not identified where they are not shown."""
-        return _Solved(
-            np.where(shown, self.value[:, columns], np.nan),
-            np.where(shown, self.error[:, columns], np.nan),
-            self.identified[:, columns] & shown,
-        )
-
-    def put(
-        self,
-        part: slice,
-        rows: FloatArray,
-        inverse: FloatArray,
-        seen: FloatArray,
-        data: FloatArray,
-        covariance: FloatArray | None,
-    ) -> None:
-        """Fill in some records: `rows` of the unknowns (n_row, n_unknown), the inverse of their design, the data."""
-        unseen = np.abs(rows - rows @ seen).max(axis=-1)
-        size = np.abs(rows).max(axis=-1)
-        # a row of zeros is what the method assumes: data have no part in it
-        identified = (unseen <= _ROW_TOLERANCE * size) & (size > 0.0)
-        weight = rows @ inverse
-        self.identified[part] = identified
-        self.value[part] = np.where(identified, np.einsum("rqb,rb->rq", weight, data), np.nan)
-        if covariance is not None:
-            square = np.einsum("rqb,rqb->rq", weight @ covariance, weight)
-            # rounding can leave a square of zero error a little below zero
-            self.error[part] = np.where(identified, np.sqrt(np.maximum(square, 0.0)), np.nan)
-
-
-def _pseudo_inverse(design: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pseudo-inverses of matrices (..., n_beam, n_unknown), and the projectors on their row spaces."""
-    left, singular, right = np.linalg.svd(design, full_matrices=False)
-    counts = (singular > RANK_TOLERANCE * singular[..., :1]) & (singular > 0.0)
-    reciprocal = np.where(counts, 1.0 / np.where(counts, singular, 1.0), 0.0)
-    rows = np.where(counts[..., None], right, 0.0)
-    inverse = (rows.swapaxes(-1, -2) * reciprocal[..., None, :]) @ left.swapaxes(-1, -2)
-    return np.asarray(inverse), np.asarray(rows.swapaxes(-1, -2) @ rows)
-
-
 def _weighted_inverse(
     design: FloatArray, scale: FloatArray, relative: FloatArray, used: BoolArray, known: BoolArray
 ) -> FloatArray:
@@ -311,7 +255,7 @@ def _weighted_inverse(
         )
     root = np.linalg.cholesky(matrix)
     whitening = np.linalg.solve(root, np.eye(used.shape[1]) / scale[:, None, :])
-    return np.asarray(_pseudo_inverse(whitening @ design)[0] @ whitening)
+    return np.asarray(pseudo_inverse(whitening @ design)[0] @ whitening)
 
 
 def _has_noise(records: xr.Dataset, part: slice, used: BoolArray, mean: FloatArray) -> BoolArray:
@@ -388,7 +332,7 @@ def _checked_noise(records: xr.Dataset, scan: Scan, noise: Noise) -> Noise:
 
 
 def _dataset(
-    records: xr.Dataset, form: StressForm, solved: _Solved, names: list[str], *, has_noise: bool
+    records: xr.Dataset, form: StressForm, solved: Solved, names: list[str], *, has_noise: bool
 ) -> xr.Dataset:
     """Lay out the estimates: first those of the named combinations, then those of the six stresses."""
     count = len(names)
@@ -406,7 +350,7 @@ def _dataset(
 
 
 def _variables(
-    solved: _Solved, dim: str, name: str, prefix: str, *, has_noise: bool
+    solved: Solved, dim: str, name: str, prefix: str, *, has_noise: bool
 ) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
     dims, unit = ("record", dim), {"units": "m2 s-2"}
     words = {"long_name": "whether the record's beams determine it, given what the method assumes"}
@@ -417,7 +361,7 @@ def _variables(
     return variables | ({f"{prefix}standard_error": (dims, solved.error, unit)} if has_noise else {})
 
 
-def _realizable(form: StressForm, solved: _Solved) -> BoolArray:
+def _realizable(form: StressForm, solved: Solved) -> BoolArray:
     """Tell which records have a tensor, zero where the method says so, and a realizable one."""
     stated = np.any(form.basis, axis=1)
     tensor = np.where(stated, solved.value, 0.0)

@@ -315,6 +315,11 @@ def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicN
     ]
 
 
+def noise_at_median(batch: Batch, noise: Noise, nuisances: Nuisances) -> RecordNoise:
+    """Return the noise of records at the median of their length scales."""
+    return _noise_of(noise, batch, nuisances, 1.0)
+
+
 def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
     return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))

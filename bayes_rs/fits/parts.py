@@ -18,10 +18,12 @@ from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, P
 from bayes_rs.fits.direction_table import contraction_along
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
+from bayes_rs.fits.least_squares_beside import least_squares_of
 from bayes_rs.fits.prepare import can_be_fitted
-from bayes_rs.fits.summarizing import PriorOutline, summarize_draws, summary_frame
+from bayes_rs.fits.summarizing import summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
+from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 
 _log = logging.getLogger(__name__)
@@ -43,8 +45,10 @@ class Shared:
         Of the records' beams.
     options : FitOptions
         Of the fit.
-    outline : PriorOutline
-        What contraction compares with.
+    room : PriorRoom
+        What the prior leaves open for the data to decide.
+    level : ndarray, shape (n_beam, 6)
+        Design matrix of the beams at yaw 0.
     vectors : ndarray, shape (6, 6)
         The directions of R, one a row, from `scan_directions`.
     prior_covariances : tuple of ndarray, shape (6, 6)
@@ -57,7 +61,8 @@ class Shared:
 
     noise: Noise
     options: FitOptions
-    outline: PriorOutline
+    room: PriorRoom
+    level: FloatArray
     vectors: FloatArray
     prior_covariances: tuple[FloatArray, FloatArray]
     keep_draws: bool
@@ -120,7 +125,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
             record=part.record,
             time=part.time,
             flag=flag,
-            derived=shared.outline.derived,
+            derived=shared.options.derived,
             prob=shared.options.prob,
         ),
         "posterior": _posterior_table(found, part, flag),
@@ -153,17 +158,27 @@ class _Columns:
 def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared) -> None:
     """Enter what the draws of some records tell."""
     chains = draws.chains
-    known = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat}
+    decided, learnt = what_data_decided(chains.stress, shared.room)
+    beside, error = least_squares_of(batch.take(rows), shared.level, shared.noise, shared.options)
+    known = {
+        "ess_bulk": chains.ess_bulk,
+        "ess_tail": chains.ess_tail,
+        "r_hat": chains.r_hat,
+        "decided": decided,
+        "least_squares": beside,
+        "least_squares_se": error,
+    }
     found.put(
         found.summary,
         rows,
-        summarize_draws(chains.stress, shared.outline, batch.wind_speed[rows], shared.options.prob, known),
+        summarize_draws(chains.stress, shared.options.derived, batch.wind_speed[rows], shared.options.prob, known),
     )
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
     centred = flat - flat.mean(axis=1, keepdims=True)
     matrix = centred.swapaxes(-1, -2) @ centred / (flat.shape[1] - 1.0)
     along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
     numbers = {
+        "stresses_learnt": learnt,
         "acceptance_rate": chains.acceptance,
         "n_step": chains.n_step.astype(np.float64),
         "pareto_k": chains.pareto_k,

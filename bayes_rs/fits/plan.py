@@ -22,20 +22,20 @@ from bayes_rs.fits.flags import flags_before
 from bayes_rs.fits.noise_choice import about_probe
 from bayes_rs.fits.parts import Part, Shared, n_kept
 from bayes_rs.fits.prepare import can_be_fitted, prepare
-from bayes_rs.fits.summarizing import PriorOutline
-from bayes_rs.geometry.forward import sight
+from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
+from bayes_rs.posteriors.decided import PriorRoom
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 
-LAYOUT = 3
+LAYOUT = 4
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
 PART_RECORDS = 128
 """Records of a part: what each worker loses at most when a run is interrupted."""
 N_PRIOR_DRAW = 10_000
-"""Draws of the prior that go with a fit, for its outline in figures and for contraction."""
+"""Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
 PRIOR_SEED = 0
 _NUMBERS_FROM = ("numpy", "scipy", "emcee")
 """Packages whose version can change a number."""
@@ -114,7 +114,8 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
     shared = Shared(
         noise=noise,
         options=options,
-        outline=PriorOutline(prior_draws, options.derived),
+        room=PriorRoom.of(prior_draws),
+        level=design_matrix(scan.at_yaw(0.0)),
         vectors=vectors,
         prior_covariances=prior_covariances(prior_draws),
         keep_draws=options.keeps_draws(len(batch)),

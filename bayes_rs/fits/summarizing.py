@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.derived import with_derived
+from bayes_rs.fits.derived import INTENSITIES, with_derived
 from bayes_rs.fits.flags import flag_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors import diagnostics
@@ -26,8 +26,9 @@ COLUMNS: tuple[str, ...] = (
     "hdi_low",
     "hdi_high",
     "prob",
-    "contraction",
-    "contraction_shape",
+    "decided",
+    "least_squares",
+    "least_squares_se",
     "mcse_mean",
     "mcse_sd",
     "mcse_median",
@@ -39,28 +40,13 @@ COLUMNS: tuple[str, ...] = (
     "flag",
 )
 DIAGNOSTICS = ("ess_bulk", "ess_tail", "r_hat")
-
-
-class PriorOutline:
-    """Variances of the stresses, and of their shape, under the prior: what contraction compares with.
-
-    Parameters
-    ----------
-    draws : ndarray, shape (n_draw, 6)
-        Draws of the prior.
-    derived : sequence of str
-        Derived quantities beside the stresses.
-    """
-
-    def __init__(self, draws: FloatArray, derived: Sequence[str]) -> None:
-        self.derived = tuple(derived)
-        self.variance = with_derived(draws, derived).var(axis=0)  # the prior says nothing of the wind speed: TI is NaN
-        self.shape_variance = (draws / draws[:, :3].sum(axis=1, keepdims=True)).var(axis=0)
+OF_RECORD = ("decided", "least_squares", "least_squares_se")
+"""What is known of a record's stresses whatever the interval."""
 
 
 def summarize_draws(
     stress: FloatArray,
-    prior: PriorOutline,
+    derived: Sequence[str],
     wind_speed: FloatArray,
     prob: float,
     known: dict[str, FloatArray] | None = None,
@@ -71,26 +57,27 @@ def summarize_draws(
     ----------
     stress : ndarray, shape (n_record, n_chain, n_draw, 6)
         Draws of the stresses, m² s⁻².
-    prior : PriorOutline
-        The prior, and which derived quantities are wanted.
+    derived : sequence of str
+        Derived quantities beside the stresses.
     wind_speed : ndarray, shape (n_record,)
         Mean wind speeds, m/s.
     prob : float
         Probability of the highest-density intervals.
     known : dict of str to ndarray, shape (n_record, 6), optional
-        Diagnostics of the stresses, by the names in `DIAGNOSTICS`, where they are known already.
+        Of the stresses: diagnostics, by the names in `DIAGNOSTICS`, where they are known already, and what there is of
+        `OF_RECORD`.
 
     Returns
     -------
     columns : dict of str to ndarray, shape (n_record, n_quantity)
         The columns of numbers of `COLUMNS`.
     """
-    names = prior.derived
+    names = tuple(derived)
     n_record, n_stress = len(stress), len(STRESSES)
     values = with_derived(stress, names, wind_speed[:, None, None])
     by_quantity = np.ascontiguousarray(np.moveaxis(values, -1, 1))  # (record, quantity, chain, draw)
     ordered = np.sort(by_quantity.reshape(n_record, values.shape[-1], -1), axis=-1)
-    diagnosed = dict(known or {})
+    diagnosed = {name: (known or {})[name] for name in DIAGNOSTICS if name in (known or {})}
     fresh = by_quantity[:, n_stress:] if set(DIAGNOSTICS) <= set(diagnosed) else by_quantity
     if fresh.shape[1]:
         found = diagnostics.diagnose(fresh, N_ENSEMBLE)
@@ -105,10 +92,6 @@ def summarize_draws(
         kurtosis = np.einsum("rqd,rqd->rq", square, square) / (ordered.shape[-1] * variance**2)
     low, high, share = diagnostics.interval_of_ordered(ordered, prob)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
-    trace = stress[..., :3].sum(axis=-1, keepdims=True)
-    shape = (stress / trace).reshape(n_record, -1, n_stress)
-    contraction_shape = np.full(mean.shape, np.nan)
-    contraction_shape[:, :n_stress] = 1.0 - shape.var(axis=1) / prior.shape_variance
     sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
     half = np.full(mean.shape, 0.5)
     return {
@@ -117,8 +100,7 @@ def summarize_draws(
         "median": np.median(ordered, axis=-1),
         "hdi_low": low,
         "hdi_high": high,
-        "contraction": 1.0 - variance / prior.variance,
-        "contraction_shape": contraction_shape,
+        **_of_record(known or {}, names, n_record),
         "mcse_mean": sd / np.sqrt(bulk),
         "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
         "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
@@ -126,6 +108,18 @@ def summarize_draws(
         "mcse_high": diagnostics.quantile_error(ordered, share + prob, tail),
         **diagnosed,
     }
+
+
+def _of_record(known: dict[str, FloatArray], derived: Sequence[str], n_record: int) -> dict[str, FloatArray]:
+    """Return the columns `OF_RECORD`; empty for most derived quantities."""
+    found = {name: np.full((n_record, len(STRESSES) + len(derived)), np.nan) for name in OF_RECORD}
+    for name, values in known.items():
+        if name in OF_RECORD:
+            found[name][:, : len(STRESSES)] = values
+    for place, name in enumerate(derived, len(STRESSES)):
+        if name in INTENSITIES:  # the root of a variance over the wind speed
+            found["decided"][:, place] = found["decided"][:, INTENSITIES[name]]
+    return found
 
 
 def summary_frame(

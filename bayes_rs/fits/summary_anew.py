@@ -12,9 +12,10 @@ from bayes_rs.fits.derived import check_derived
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.fit_options import check_prob
 from bayes_rs.fits.frames import FRAMES, to_lidar_frame
-from bayes_rs.fits.summarizing import DIAGNOSTICS, PriorOutline, summarize_draws, summary_frame
+from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD, summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors import diagnostics
+from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 
 
@@ -26,10 +27,10 @@ def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> 
     records, table = fit.records, fit.table("summary")
     stresses = table[table["stress"].isin(STRESSES)]
     known = {
-        name: stresses[name].to_numpy(dtype=np.float64).reshape(fit.n_record, len(STRESSES)) for name in DIAGNOSTICS
+        name: stresses[name].to_numpy(dtype=np.float64).reshape(fit.n_record, len(STRESSES))
+        for name in (*DIAGNOSTICS, *OF_RECORD)
     }
     wind_speed = np.asarray(records["wind_speed"].values, dtype=np.float64)
-    outline = PriorOutline(fit.prior_draws, derived)
     columns: dict[str, FloatArray] = {}
     for rows, stress in fit.batches():
         diagnosed = {name: values[rows] for name, values in known.items()}
@@ -37,21 +38,19 @@ def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> 
             yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)[rows])
             stress = to_lidar_frame(stress, yaw[:, None, None])  # noqa: PLW2901 - the same draws, turned
             diagnosed = _diagnosed_in_frame(stress, diagnosed)
-            outline = _outline_in_lidar_frame(fit.prior_draws, derived, yaw)
-        for column, values in summarize_draws(stress, outline, wind_speed[rows], prob, diagnosed).items():
+            diagnosed["decided"] = _decided_in_lidar_frame(stress, fit.prior_draws, yaw)
+        for column, values in summarize_draws(stress, derived, wind_speed[rows], prob, diagnosed).items():
             columns.setdefault(column, np.full((fit.n_record, values.shape[1]), np.nan))[rows] = values
     return summary_frame(
         columns, record=np.arange(fit.n_record), time=fit.time, flag=fit.flag, derived=derived, prob=prob
     )
 
 
-def _outline_in_lidar_frame(draws: FloatArray, derived: Sequence[str], yaw: FloatArray) -> PriorOutline:
-    """Return the outline of the prior in the lidar's frame, one row of variances for each wind direction, rad."""
-    turned = PriorOutline(draws, derived)
-    parts = [PriorOutline(to_lidar_frame(draws, angle), derived) for angle in yaw]
-    turned.variance = np.stack([part.variance for part in parts])
-    turned.shape_variance = np.stack([part.shape_variance for part in parts])
-    return turned
+def _decided_in_lidar_frame(stress: FloatArray, prior_draws: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return what the data decided of turned draws, against the prior turned by the same wind directions, rad."""
+    rooms = (PriorRoom.of(to_lidar_frame(prior_draws, angle)) for angle in yaw)
+    found = [what_data_decided(one[None], room)[0] for one, room in zip(stress, rooms, strict=True)]
+    return np.concatenate(found)
 
 
 def _diagnosed_in_frame(stress: FloatArray, known: dict[str, FloatArray]) -> dict[str, FloatArray]:

@@ -89,3 +89,19 @@ def stress_from_correlations(log_uu: FloatArray, log_vv: FloatArray, log_ww: Flo
     stress[..., 4] = rho_uw * np.exp(0.5 * (log_uu + log_ww))
     stress[..., 5] = rho_vw * np.exp(0.5 * (log_vv + log_ww))
     return stress
+
+
+def log_ratios_from_stress(stress: FloatArray) -> FloatArray:
+    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (..., 6).
+
+    That is the inverse of `stress_from_correlations`. What is not realizable, or is at the edge, is not finite.
+    """
+    uu, vv, ww, uv, uw, vw = np.moveaxis(stress, -1, 0)
+    rho_uv, rho_uw, rho_vw = uv / np.sqrt(uu * vv), uw / np.sqrt(uu * ww), vw / np.sqrt(vv * ww)
+    partial = (rho_vw - rho_uv * rho_uw) / np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
+    found = np.empty(stress.shape)
+    for index, value in enumerate((uu, vv / uu, ww / uu)):
+        np.log(value, out=found[..., index])
+    for index, value in enumerate((rho_uv, rho_uw, partial)):
+        np.arctanh(value, out=found[..., 3 + index])
+    return found

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import principal_variances
-from bayes_rs.priors.interface import N_COORDINATE, NormalPrior, stress_from_correlations
+from bayes_rs.priors.interface import N_COORDINATE, NormalPrior, log_ratios_from_stress, stress_from_correlations
 
 LEAST_SAMPLE = 50
 """Fewest tensors that a `SamplePrior` is made from: its 5 and 95 % points then rest on three tensors each."""
@@ -92,7 +92,7 @@ class SamplePrior(NormalPrior):
                 f"{variances[bad[0], 0]:.3g} m² s⁻², and it must be positive ({len(bad)} such rows); leave those "
                 "rows out, or check the order uu, vv, ww, uv, uw, vw."
             )
-        inner = _log_ratios(sample)
+        inner = log_ratios_from_stress(sample)
         score = scipy.special.ndtri((scipy.stats.rankdata(inner, axis=0) - 0.5) / len(sample))
         keep = object.__setattr__
         keep(self, "stresses", sample.copy())
@@ -144,14 +144,6 @@ def _turn(value: FloatArray) -> FloatArray:
 def _robust_sd(values: FloatArray) -> FloatArray:
     low, high = np.quantile(values, [0.159, 0.841], axis=0)
     return np.asarray(0.5 * (high - low))
-
-
-def _log_ratios(stress: FloatArray) -> FloatArray:
-    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (n, 6)."""
-    uu, vv, ww, uv, uw, vw = stress.T
-    rho_uv, rho_uw, rho_vw = uv / np.sqrt(uu * vv), uw / np.sqrt(uu * ww), vw / np.sqrt(vv * ww)
-    partial = (rho_vw - rho_uv * rho_uw) / np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
-    return np.stack([np.log(uu), np.log(vv / uu), np.log(ww / uu), *np.arctanh([rho_uv, rho_uw, partial])], axis=1)
 
 
 def _fit_curve(values: FloatArray, spread: float) -> tuple[float, FloatArray]:

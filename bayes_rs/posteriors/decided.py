@@ -1,0 +1,125 @@
+"""What the data decided: how many stresses they told, of six, and their share of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
+from bayes_rs.priors.interface import log_ratios_from_stress
+
+_RANK = 1e-6
+"""A direction whose variance under the prior is below this share of the largest is fixed by the prior."""
+_ROWS, _COLUMNS = (0, 0, 1), (1, 2, 2)
+"""The two variances that each of uv, uw, vw stands between."""
+
+
+@dataclass(frozen=True, eq=False)
+class PriorRoom:
+    """What a prior leaves open: what the data have to decide.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (6,)
+        Mean of x = (ln uu, ln vv/uu, ln ww/uu, artanh ρ_uv, artanh ρ_uw, artanh ρ_vw·u).
+    standard : ndarray, shape (6, n_coordinate)
+        (x − mean) @ standard are uncorrelated and have variance 1 under the prior; the first is the size, ln uu.
+    size_sd : float
+        Standard deviation of ln uu.
+    room : ndarray, shape (6,)
+        What the prior leaves open of each stress when the size is known: of ln uu, ln vv, ln ww, and of the
+        correlations for uv, uw, vw.
+
+    Notes
+    -----
+    For `WeakPrior` and `RatioPrior` the coordinates are the prior's own, for any other prior those of the normal
+    distribution with its mean and covariance. The room of a variance is the standard deviation of its logarithm, or of
+    that of its ratio to the sum of the other two, whichever is less.
+    """
+
+    mean: FloatArray
+    standard: FloatArray
+    size_sd: float
+    room: FloatArray
+
+    @classmethod
+    def of(cls, draws: FloatArray) -> PriorRoom:
+        """Return the room of a prior from draws of its stresses, shape (n, 6)."""
+        inner = log_ratios_from_stress(draws)
+        mean = inner.mean(axis=0)
+        centred = inner - mean
+        covariance = centred.T @ centred / len(centred)
+        size_sd = float(np.sqrt(covariance[0, 0]))
+        on_size = covariance[:, 0] / covariance[0, 0]
+        values, vectors = np.linalg.eigh(covariance - covariance[0, 0] * np.outer(on_size, on_size))
+        free = values > _RANK * np.trace(covariance)
+        shape = vectors[:, free] / np.sqrt(values[free])
+        shape[0] = -(on_size[1:] @ shape[1:])  # less what follows from the size
+        standard = np.concatenate([np.eye(len(STRESSES), 1) / size_sd, shape], axis=1)
+        variances = draws[:, :3]
+        others = variances.sum(axis=1, keepdims=True) - variances
+        of_variances = np.minimum(np.log(variances).std(axis=0), np.log(variances / others).std(axis=0))
+        correlation = draws[:, 3:] / np.sqrt(variances[:, _ROWS] * variances[:, _COLUMNS])
+        moved = (centred @ standard[:, 1:]).T @ (correlation - correlation.mean(axis=0)) / len(draws)
+        return cls(mean, standard, size_sd, np.concatenate([of_variances, np.sqrt((moved**2).sum(axis=0))]))
+
+
+def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
+    r"""Return how far the data decided each stress, and how many stresses they told.
+
+    Parameters
+    ----------
+    stress : ndarray, shape (n_record, n_chain, n_draw, 6)
+        Draws of posteriors, m² s⁻²; n_chain a multiple of four, chains of one independent ensemble are neighbours.
+    prior : PriorRoom
+        Of the prior that they are compared with.
+
+    Returns
+    -------
+    decided : ndarray, shape (n_record, 6)
+        0: the prior's; 1: the data's. Below 0 where the posterior leans on the prior more than the prior's own width.
+    learnt : ndarray, shape (n_record,)
+        Stresses learnt, of six.
+
+    Notes
+    -----
+    With z the prior's standard coordinates (`PriorRoom`), Σ their posterior covariance with eigenvalues λ,
+
+    .. math:: \mathrm{learnt} = \sum_i (1 - \lambda_i) = \mathrm{tr}(1 - \Sigma) .
+
+    If the prior's centre is moved by one of its standard deviations along z_i, the posterior mean of a quantity q moves
+    by Cov(q, z_i), exactly for a normal prior. In a weighted mean of prior and data that is the weight of the prior
+    times the prior's own width. So
+
+    .. math::
+        \mathrm{decided} = 1 - \max\left( \frac{|\mathrm{Cov}(q, z_1)|}{s},
+        \frac{1}{r} \sqrt{\sum_{i \ge 2} \mathrm{Cov}(q, z_i)^2} \right),
+
+    with q = ln uu, ln vv, ln ww, and uv, uw, vw over the posterior mean of the root of their two variances. The first
+    term is the weight of the prior's size (s its standard deviation), the second that of its shape (r the room).
+    Noise of the data does not enter but by what the posterior leans on the prior for, so that a level alone, however
+    well or badly known, decides no stress but those that the level is of.
+
+    The sum of squares is the mean product of independent ensembles, which has no bias from Monte-Carlo errors, and is
+    zero where it comes out below. With n effective draws the standard error of a share near 0 is about 1/√n, that of a
+    share near 1 about that of its posterior's logarithm over r times n^(-1/2), and that of learnt √(2 Σ λ²/n).
+    """
+    n_record = len(stress)
+    of_ensemble = stress.reshape(n_record, N_ENSEMBLE, -1, len(STRESSES))
+    with np.errstate(invalid="ignore", divide="ignore"):  # tensors at the edge by rounding: NaN
+        standard = (log_ratios_from_stress(of_ensemble) - prior.mean) @ prior.standard
+    size = np.sqrt(of_ensemble[..., _ROWS] * of_ensemble[..., _COLUMNS]).mean(axis=(1, 2), keepdims=True)
+    quantity = np.concatenate([np.log(of_ensemble[..., :3]), of_ensemble[..., 3:] / size], axis=-1)
+    n_draw = of_ensemble.shape[2]
+    centred = standard - standard.mean(axis=2, keepdims=True)
+    moved = centred.swapaxes(-1, -2) @ (quantity - quantity.mean(axis=2, keepdims=True)) / (n_draw - 1.0)
+    of_size = np.abs(moved[:, :, 0].mean(axis=1)) / prior.size_sd
+    products = moved[:, :, 1:].sum(axis=1) ** 2 - (moved[:, :, 1:] ** 2).sum(axis=1)
+    square = products.sum(axis=1) / (N_ENSEMBLE * (N_ENSEMBLE - 1.0))
+    fixed = prior.room <= np.sqrt(_RANK)
+    of_shape = np.where(fixed, 1.0, np.sqrt(np.maximum(square, 0.0)) / np.where(fixed, 1.0, prior.room))
+    flat = standard.reshape(n_record, N_ENSEMBLE * n_draw, -1)
+    return 1.0 - np.maximum(of_size, of_shape), flat.shape[2] - flat.var(axis=1, ddof=1).sum(axis=1)
