@@ -97,6 +97,7 @@ def comparison_words(table: pd.DataFrame) -> list[str]:
         lines += [f"{label:<{size}}" + "".join(f"{cell:>9}" for cell in cells) for label, cells in entries]
         if not _is_of_one_name(some):
             lines.append(_best_line(some))
+        lines += _decided_lines(some)
         if _beam_rows(some):
             lines.append(f"enough: from there on, all widths are within {100.0 * ENOUGH:g} % of that of the most beams")
     return lines[1:]
@@ -117,6 +118,23 @@ def _width_rows(some: pd.DataFrame) -> _Rows:
         label = f"{scan}, {duration:g} s" if several else f"{scan}"
         rows.append((label, [f"{width[name]:.2f}" for name in STRESSES]))
     return rows
+
+
+def _decided_lines(some: pd.DataFrame) -> list[str]:
+    """Say what the data decide of each stress with every scan, if there are not too many to read."""
+    cells = list(some.groupby(["scan", "duration"], sort=False))
+    if len(cells) > _MOST_LINES:
+        return []
+    several = some["duration"].nunique() > 1
+    labels = [f"{scan}, {duration:g} s" if several else f"{scan}" for (scan, duration), _ in cells]
+    size = max(len(label) for label in labels) + 1
+    lines = ["decided by the data (1) or by the prior (0), and how many stresses are learnt, of 6"]
+    lines.append(" " * size + "".join(f"{name:>9}" for name in (*STRESSES, "learnt")))
+    for label, (_, cell) in zip(labels, cells, strict=True):
+        of_stress = cell.set_index("stress")
+        values = [*of_stress["decided"][list(STRESSES)], of_stress["stresses_learnt"].iloc[0]]
+        lines.append(f"{label:<{size}}" + "".join(f"{value + 0.0:>9.2f}" for value in values))
+    return lines
 
 
 def _best_rows(some: pd.DataFrame) -> _Rows:

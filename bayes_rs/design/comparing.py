@@ -26,6 +26,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import from_plain
+from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as shown
 from bayes_rs.theory.sonic_theory import sonic_moments
@@ -49,8 +50,8 @@ COLUMNS = (
     "rmse_median",
     "coverage_50",
     "coverage_90",
-    "contraction",
-    "contraction_shape",
+    "decided",
+    "stresses_learnt",
     "prior_width_90",
     "full_over_fast",
     "rank",
@@ -87,9 +88,9 @@ def compare(
         `COLUMNS`: what the scan is (all beams, whether one points along the axis, largest opening angle and focus
         distance, mounting), expected widths of the central 50 and 90 % intervals, ``width_ratio`` (the 90 % width over
         the true uu), bias and root mean square error of posterior mean and median (or of the classic estimate), shares
-        of intervals that hold the truth, contraction against the prior, the prior's own width, rank and unseen
-        directions in words. ``full_over_fast`` is the ratio of the 90 % widths where both were asked for. m² s⁻² where
-        not relative.
+        of intervals that hold the truth, what the data ``decided`` and ``stresses_learnt`` (as in `Fit.summary`, means
+        over the records), the prior's own width, rank and unseen directions in words. ``full_over_fast`` is the ratio
+        of the 90 % widths where both were asked for. m² s⁻² where not relative.
 
     Raises
     ------
@@ -196,7 +197,7 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
     flat = stress.reshape(len(stress), -1, len(STRESSES))
     low90, low50, median, high50, high90 = np.quantile(flat, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1)
     mean = flat.mean(axis=1)
-    shape, prior_shape = (draws / draws[..., :3].sum(axis=-1, keepdims=True) for draws in (flat, of_prior))
+    decided, learnt = what_data_decided(stress, PriorRoom.of(of_prior))
     ends = np.quantile(of_prior, [0.05, 0.95], axis=0)
     measured = {
         "truth": truth,
@@ -209,8 +210,8 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
         "rmse_median": np.sqrt(np.mean((median - truth) ** 2, axis=0)),
         "coverage_50": np.mean((low50 <= truth) & (truth <= high50), axis=0),
         "coverage_90": np.mean((low90 <= truth) & (truth <= high90), axis=0),
-        "contraction": np.mean(1.0 - flat.var(axis=1) / of_prior.var(axis=0), axis=0),
-        "contraction_shape": np.mean(1.0 - shape.var(axis=1) / prior_shape.var(axis=0), axis=0),
+        "decided": np.mean(decided, axis=0),
+        "stresses_learnt": np.full(len(STRESSES), np.mean(learnt)),
         "prior_width_90": ends[1] - ends[0],
     }
     of_stress = (dict(zip(measured, values, strict=True)) for values in zip(*measured.values(), strict=True))

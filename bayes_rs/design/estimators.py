@@ -331,9 +331,7 @@ def _checked_noise(records: xr.Dataset, scan: Scan, noise: Noise) -> Noise:
     return chosen
 
 
-def _dataset(
-    records: xr.Dataset, form: StressForm, solved: Solved, names: list[str], *, has_noise: bool
-) -> xr.Dataset:
+def _dataset(records: xr.Dataset, form: StressForm, solved: Solved, names: list[str], *, has_noise: bool) -> xr.Dataset:
     """Lay out the estimates: first those of the named combinations, then those of the six stresses."""
     count = len(names)
     of_stresses = solved.take(slice(count, None), np.isin(STRESSES, form.estimated))

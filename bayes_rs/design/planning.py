@@ -197,7 +197,7 @@ def _data_steps(scan: Scan, noise: Noise, rank: int) -> list[Step]:
             "unseen directions",
             f"{6 - rank} of 6 directions of R are left to the prior: the scan {sight(scan).in_words()}",
             "no radial variance changes along them",
-            "they are sampled with the rest, so none; contraction near zero shows them in the result",
+            "they are sampled with the rest, so none; ``decided`` near zero shows them in the result",
         )
     else:
         unseen = Step("unseen directions", "none: the scan sees all six stresses", "rank 6", "none")

@@ -73,9 +73,10 @@ class Fit(FitData):
         -------
         table : DataFrame
             One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
-            sd, median and ends of the highest-density interval, m² s⁻² for stresses; contraction; Monte-Carlo standard
-            errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat, and flags in words.
-            Records that were not fitted have NaN.
+            sd, median and ends of the highest-density interval, m² s⁻² for stresses; ``decided``; least squares on the
+            same variances and its standard error, NaN for stresses that the beams do not determine; Monte-Carlo
+            standard errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat, and flags in
+            words. Records that were not fitted have NaN.
 
         Raises
         ------
@@ -85,10 +86,12 @@ class Fit(FitData):
 
         Notes
         -----
-        contraction = 1 − Var[posterior] / Var[prior]. Near 1 the data decided, near 0 the prior did. A prior that
-        leaves the size of the turbulence open makes the contraction of every stress near 1, because any beam tells the
-        size; so contraction_shape is the same number for the stress divided by the trace uu + vv + ww, from which the
-        size is gone.
+        ``decided`` is the share of a stress that the data decided: 0, it is the prior's; 1, the data's. It is 1 less
+        the weight that the prior has in the estimate: how far the estimate moves when the prior's centre moves, over
+        the room that the prior leaves the stress when the size of the turbulence is known (`what_data_decided`). That
+        beams tell the size decides only those stresses that they look along. A turbulence intensity has the number of
+        its variance; the other derived quantities have none. Least squares is as by `estimate`, all beams alike and as
+        points, less the instrument's noise that the fit knows. In the lidar's frame it is left out.
 
         The Monte-Carlo errors follow from the effective sample sizes: of the mean sd/√n, of the sd ½ sd √((κ − 1)/n)
         with the kurtosis κ, of the median and the ends those of the quantiles at their places. The shortest interval
@@ -107,9 +110,9 @@ class Fit(FitData):
         -------
         table : DataFrame
             Six rows a record, best seen direction first: ``weight``, the singular value over the largest; ``seen``,
-            false where no beam's variance changes along the direction; ``contraction`` and ``contraction_shape`` as in
-            `summary`, of the direction's component; and the direction itself, a unit vector over the six stresses in
-            the lidar's frame (x against the lidar's axis, level).
+            false where no beam's variance changes along the direction; ``contraction`` of the direction's component and
+            ``contraction_shape`` of that of R over its trace; and the direction itself, a unit vector over the six
+            stresses in the lidar's frame (x against the lidar's axis, level).
 
         Notes
         -----
@@ -119,7 +122,7 @@ class Fit(FitData):
         the shape) under posterior and prior. A direction that is not seen may contract none the less: what is learned
         of the others limits it, through the prior's correlations and because R is realizable. Of the shape, seen and
         unseen directions that share the diagonal mirror each other, because its trace is 1: the contraction of R itself
-        tells them apart.
+        tells them apart. For what the data decided of each stress, see ``decided`` of `summary`.
         """
         rows = self.source.read("posterior", ["record", *ALONG, *ALONG_SHAPE])
         along, of_shape = (rows[list(names)].to_numpy(dtype=np.float64) for names in (ALONG, ALONG_SHAPE))
@@ -185,7 +188,11 @@ class Fit(FitData):
     def words(self) -> list[str]:
         """What the scan sees, which prior it was, and what the data said beyond the prior, in lines."""
         run = self.run
-        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], self.source.read("summary"))
+        learnt = self.source.read("posterior", ["record", "stresses_learnt"])["stresses_learnt"].to_numpy(
+            dtype=np.float64
+        )
+        table = self.source.read("summary")
+        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], table, learnt)
         return [*lines, *least_seen(self.directions())]
 
     @property

@@ -13,10 +13,12 @@ from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
 from bayes_rs.noise.noise import Noise
 
 MOST_BEAMS = 128
-"""Scans with more beams get no standard errors of least squares: their whole covariances would cost more than the fit."""
+"""Scans with more beams get no standard errors of least squares: whole covariances would cost more than the fit."""
 
 
-def least_squares_of(batch: Batch, level: FloatArray, noise: Noise, options: FitOptions) -> tuple[FloatArray, FloatArray]:
+def least_squares_of(
+    batch: Batch, level: FloatArray, noise: Noise, options: FitOptions
+) -> tuple[FloatArray, FloatArray]:
     """Return the stresses of records by least squares, and their standard errors.
 
     Parameters
@@ -39,26 +41,26 @@ def least_squares_of(batch: Batch, level: FloatArray, noise: Noise, options: Fit
     Notes
     -----
     All beams count the same, and are points, as by ``estimate(records, scan, noise=noise)``. Other than there, the
-    instrument's noise is taken from the variances first, as far as the fit knows it, a record's own tilt and roll count,
-    and noise that the fit inflates is inflated.
+    instrument's noise is taken from the variances first, as far as the fit knows it, a record's own tilt and roll
+    count, and noise that the fit inflates is inflated.
     """
     # stresses of the mean-wind frame to those of the levelled lidar, in which beams are the same for all records
     back = rotate_stress(np.eye(len(STRESSES)), yaw_matrix(-batch.yaw)[:, None]).swapaxes(-1, -2)
     rows = np.linalg.inv(back if batch.turn is None else back @ batch.turn)
     uncertain = options.nuisances.instrument_noise_log_sd > 0.0
     of_instrument = batch.median_noise(options) if uncertain else batch.known_noise(options)
-    data = np.where(batch.used, batch.variance - of_instrument, 0.0)
+    data: FloatArray = np.where(batch.used, batch.variance - of_instrument, 0.0).astype(np.float64)
     patterns, of = np.unique(batch.used, axis=0, return_inverse=True)
     inverse, seen = pseudo_inverse(np.where(patterns[:, :, None], level, 0.0))
     inverse, seen = inverse[of.ravel()], seen[of.ravel()]
-    covariance = None
+    covariance: FloatArray | None = None
     if len(level) <= MOST_BEAMS:
         mean = np.einsum("bp,rpc,rc->rb", level, inverse, data)
         of_noise = noise_at_median(batch, noise, options.nuisances)
         scale = np.where(batch.used, mean + of_instrument, 0.0)
-        positive = np.where(batch.used, mean > 0.0, True).all(axis=1)
+        positive = ((mean > 0.0) | ~batch.used).all(axis=1)
         scatter = options.nuisances.inflation * scale[:, :, None] * of_noise.covariance * scale[:, None, :]
-        covariance = np.where(positive[:, None, None], scatter, np.nan)
+        covariance = np.asarray(np.where(positive[:, None, None], scatter, np.nan), dtype=np.float64)
     found = Solved.empty(len(batch), len(STRESSES))
-    found.put(slice(None), rows, inverse, seen, data, covariance)
+    found.put(slice(None), np.asarray(rows, dtype=np.float64), inverse, seen, data, covariance)
     return found.value, found.error

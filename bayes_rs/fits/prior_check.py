@@ -23,7 +23,7 @@ from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
 from bayes_rs.records.given import check_are_records
 
-COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "contraction", "decided_by")
+COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "decided", "decided_by")
 _DECIDED = 0.25
 """A stress whose interval follows the prior's width by less than this power is decided by the data."""
 
@@ -58,7 +58,7 @@ def prior_sensitivity(
         One row for each factor and stress, medians over the records: ``prior_width`` and ``width``, widths of the
         prior's and the posterior's central interval (m² s⁻²); ``width_ratio`` to that under the prior itself;
         ``shift`` of the posterior median, in standard deviations of the posterior under the prior itself;
-        ``contraction`` as in `summary`; ``decided_by``, in words.
+        ``decided`` as in `Fit.summary`; ``decided_by``, in words.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def prior_sensitivity(
                     float(np.median(spread.width[:, index])),
                     float(ratio[index]),
                     float(shift[index]),
-                    float(np.median(spread.contraction[:, index])),
+                    float(np.median(spread.decided[:, index])),
                     str(words[index]) if len(every) > 1 else "",
                 )
             )
@@ -134,7 +134,9 @@ class _Spread:
         self.width: FloatArray = ends[2] - ends[0]
         self.sd: FloatArray = flat.std(axis=1)
         self.prior_width: FloatArray = version.interval_widths(prob)
-        self.contraction: FloatArray = 1.0 - self.sd**2 / result.prior_draws.var(axis=0)
+        table = result.summary()
+        decided = table[table["stress"].isin(STRESSES)]["decided"].to_numpy(dtype=np.float64)
+        self.decided: FloatArray = decided.reshape(-1, len(STRESSES))[result.fitted]
 
 
 def sensitivity_lines(table: pd.DataFrame) -> list[str]:
@@ -149,22 +151,24 @@ def sensitivity_lines(table: pd.DataFrame) -> list[str]:
     -------
     lines : list of str
         A heading; then for each stress the widths of the prior's and the posterior's interval, m² s⁻², the ratio of the
-        posterior's width to that under the prior itself for each other factor, and what decided it.
+        posterior's width to that under the prior itself for each other factor, the share that the data decided, and
+        what decided it.
 
     Examples
     --------
     >>> rows = [(0.5, "uu", 2.0, 0.9, 0.9, 0.1, 0.8, "both"), (1.0, "uu", 4.0, 1.0, 1.0, 0.0, 0.9, "both")]
     >>> for line in sensitivity_lines(pd.DataFrame(rows, columns=list(COLUMNS))):
     ...     print(line)
-    stress     prior  posterior    x 0.5  decided by
-    uu          4.00       1.00     0.90  both
+    stress     prior  posterior    x 0.5  decided  decided by
+    uu          4.00       1.00     0.90     0.90  both
     """
     columns = (table[name].tolist() for name in ("factor", "stress", "width_ratio"))
     ratio = {(factor, stress): value for factor, stress, value in zip(*columns, strict=True)}
     others = [factor for factor in table["factor"].unique().tolist() if factor != 1.0]
     heads = "".join(f"{f'x {factor:g}':>9}" for factor in others)
-    lines = [f"{'stress':<8}{'prior':>8}{'posterior':>11}{heads}  decided by"]
+    lines = [f"{'stress':<8}{'prior':>8}{'posterior':>11}{heads}{'decided':>9}  decided by"]
     for row in table[table["factor"] == 1.0].to_dict("records"):
         ratios = "".join(f"{ratio[factor, row['stress']]:>9.2f}" for factor in others)
-        lines.append(f"{row['stress']:<8}{row['prior_width']:>8.2f}{row['width']:>11.2f}{ratios}  {row['decided_by']}")
+        start = f"{row['stress']:<8}{row['prior_width']:>8.2f}{row['width']:>11.2f}{ratios}"
+        lines.append(f"{start}{row['decided']:>9.2f}  {row['decided_by']}")
     return lines

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -75,21 +77,46 @@ def least_seen(table: pd.DataFrame) -> list[str]:
     return [f"the beams {how} {which}: {prior:.0f} % of its share of the whole comes from the prior"]
 
 
-def describe(scan: str, sight: str, prior: str, prior_widths: list[float], table: pd.DataFrame) -> list[str]:
-    """Say what the scan sees, which prior it was, and how much narrower the posterior is than the prior."""
+def describe(
+    scan: str, sight: str, prior: str, prior_widths: list[float], table: pd.DataFrame, learnt: NDArray[np.float64]
+) -> list[str]:
+    """Say what the scan sees, which prior it was, and what the data said beyond the prior.
+
+    Parameters
+    ----------
+    scan, sight, prior : str
+        Name of the scan, what it sees, and the prior, in words.
+    prior_widths : list of float
+        Widths of the prior's intervals of the stresses, m² s⁻².
+    table : DataFrame
+        From `Fit.summary`.
+    learnt : ndarray, shape (n_record,)
+        Stresses learnt of each record; NaN where it was not fitted.
+
+    Returns
+    -------
+    lines : list of str
+        Numbers are medians over the records.
+    """
     lines = [f"scan {scan}: {sight}", f"prior {prior}"]
     rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
-    if len(rows):
-        prob = float(rows["prob"].iloc[0])
-        posterior = (rows["hdi_high"] - rows["hdi_low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
-        for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
-            numbers = ", ".join(f"{name} {width:.3g}" for name, width in zip(STRESSES, widths, strict=True))
-            lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {numbers}")
-        middle = rows.groupby("stress")[["contraction", "contraction_shape"]].median().loc[list(STRESSES)]
-        for column, meaning in (
-            ("contraction", "of the stresses"),
-            ("contraction_shape", "of their shape, size taken out"),
-        ):
-            numbers = ", ".join(f"{name} {value:.2f}" for name, value in middle[column].items())
-            lines.append(f"contraction against the prior (1: the data decided, 0: the prior did) {meaning}: {numbers}")
+    if rows.empty:
+        return lines
+    prob = float(rows["prob"].iloc[0])
+    middle = rows.groupby("stress")[["median", "decided", "least_squares"]].median().loc[list(STRESSES)]
+    posterior = (rows["hdi_high"] - rows["hdi_low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
+    for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
+        lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
+    lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
+    lines.append(f"least squares, no prior (median record), m² s⁻²: {_of_stresses(middle['least_squares'], '.3g')}")
+    lines.append(f"stresses learnt from the data (median record): {np.nanmedian(learnt):.1f} of 6")
+    lines.append(f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'] + 0.0, '.2f')}")
     return lines
+
+
+def _of_stresses(values: Iterable[float], form: str) -> str:
+    """Write a number for each stress; one that is not there is not seen."""
+    return ", ".join(
+        f"{name} {format(value, form) if np.isfinite(value) else 'not seen'}"
+        for name, value in zip(STRESSES, values, strict=True)
+    )

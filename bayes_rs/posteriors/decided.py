@@ -30,14 +30,15 @@ class PriorRoom:
     size_sd : float
         Standard deviation of ln uu.
     room : ndarray, shape (6,)
-        What the prior leaves open of each stress when the size is known: of ln uu, ln vv, ln ww, and of the
-        correlations for uv, uw, vw.
+        What the prior leaves open of each stress when the size is known: of ln uu, ln vv, ln ww; and of uv, uw, vw over
+        the mean root of their two variances.
 
     Notes
     -----
     For `WeakPrior` and `RatioPrior` the coordinates are the prior's own, for any other prior those of the normal
     distribution with its mean and covariance. The room of a variance is the standard deviation of its logarithm, or of
-    that of its ratio to the sum of the other two, whichever is less.
+    that of its ratio to the sum of the other two, whichever is less. The room of a covariance is how far it moves with
+    the prior's shape, where uu + vv + ww is known.
     """
 
     mean: FloatArray
@@ -62,8 +63,9 @@ class PriorRoom:
         variances = draws[:, :3]
         others = variances.sum(axis=1, keepdims=True) - variances
         of_variances = np.minimum(np.log(variances).std(axis=0), np.log(variances / others).std(axis=0))
-        correlation = draws[:, 3:] / np.sqrt(variances[:, _ROWS] * variances[:, _COLUMNS])
-        moved = (centred @ standard[:, 1:]).T @ (correlation - correlation.mean(axis=0)) / len(draws)
+        of_size = draws / variances.sum(axis=1, keepdims=True)
+        quantity = of_size[:, 3:] / np.sqrt(of_size[:, _ROWS] * of_size[:, _COLUMNS]).mean(axis=0)
+        moved = (centred @ standard[:, 1:]).T @ (quantity - quantity.mean(axis=0)) / len(draws)
         return cls(mean, standard, size_sd, np.concatenate([of_variances, np.sqrt((moved**2).sum(axis=0))]))
 
 
@@ -80,7 +82,7 @@ def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray,
     Returns
     -------
     decided : ndarray, shape (n_record, 6)
-        0: the prior's; 1: the data's. Below 0 where the posterior leans on the prior more than the prior's own width.
+        0: the prior's; 1: the data's. Below 0 where the posterior leans on the prior by more than the prior's own room.
     learnt : ndarray, shape (n_record,)
         Stresses learnt, of six.
 

@@ -77,7 +77,9 @@ def records_data(found: ReportData) -> dict[str, Any]:
         "flag": pack(found.flag[rows], "u2"),
         "speed": pack(found.wind_speed[rows], "f4"),
         "numbers": pack_rows(numbers),
-        "correlation": pack(np.where(np.isfinite(correlation), np.rint(100.0 * correlation), -128), "i1"),
+        "correlation": _hundredths(correlation),
+        "decided": _hundredths(found.numbers["decided"][rows]),
+        "beside": pack_rows(np.stack([found.numbers[name][rows] for name in ("least_squares", "least_squares_se")], 1)),
         "first": int(np.argmax(found.fitted[rows])),
     }
     n_draw = min(MOST_DRAWS, DRAW_BYTES // (16 * len(found.record)))  # six 16-bit numbers, in base64
@@ -117,19 +119,14 @@ def intensity_data(found: ReportData) -> dict[str, Any] | None:
     return data
 
 
-def contraction_quantiles(found: ReportData) -> dict[str, FloatArray]:
-    """Return the 5, 50 and 95 % points over the fitted records of both contractions, shape (6, 3)."""
-    return {
-        name: np.quantile(found.numbers[name][found.fitted], [0.05, 0.5, 0.95], axis=0).T
-        for name in ("contraction", "contraction_shape")
-    }
+def decided_quantiles(found: ReportData) -> FloatArray:
+    """Return the 5, 50 and 95 % points over the fitted records of what the data decided, shape (6, 3)."""
+    return np.asarray(np.nanquantile(found.numbers["decided"][found.fitted], [0.05, 0.5, 0.95], axis=0).T)
 
 
-def contraction_data(found: ReportData) -> dict[str, Any] | None:
-    """Return the points of both contractions; None if no record was fitted."""
-    if not found.fitted.any():
-        return None
-    return {name: plain(points, 3) for name, points in contraction_quantiles(found).items()}
+def decided_data(found: ReportData) -> list[Any] | None:
+    """Return the points of what the data decided; None if no record was fitted."""
+    return plain(decided_quantiles(found), 3) if found.fitted.any() else None
 
 
 def shape_data(found: ReportData) -> dict[str, Any] | None:
@@ -140,6 +137,12 @@ def shape_data(found: ReportData) -> dict[str, Any] | None:
     some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_SHAPE_POINTS)).round().astype(np.int64))
     xi, eta = lumley_coordinates(found.numbers["mean"][rows[some]])
     return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
+
+
+def _hundredths(values: FloatArray) -> str:
+    """Pack numbers from −1.27 to 1.27 to a hundredth; those that are not finite become −128."""
+    steps = np.clip(np.rint(100.0 * np.where(np.isfinite(values), values, 0.0)), -127, 127)
+    return pack(np.where(np.isfinite(values), steps, -128), "i1")
 
 
 def worst_diagnostics(found: ReportData) -> dict[str, FloatArray]:

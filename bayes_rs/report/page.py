@@ -60,7 +60,7 @@ def render(found: ReportData, *, title: str | None = None) -> str:
         "records": figures.records_data(found),
         "flags": FLAGS,
         "availability": figures.availability_data(availability, found),
-        "contraction": figures.contraction_data(found),
+        "decided": figures.decided_data(found),
         "intensity": figures.intensity_data(found),
         "shape": figures.shape_data(found),
         "diagnostics": figures.diagnostics_data(found),
@@ -69,7 +69,7 @@ def render(found: ReportData, *, title: str | None = None) -> str:
         ("read", "What was read", _read_section(found, availability)),
         ("stresses", "Stresses over time", _stress_section(found, series)),
         ("record", "One record", _record_section(found, timed=timed)),
-        ("contraction", "What the data said", _contraction_section(found, data)),
+        ("decided", "What the data said", _decided_section(found, data)),
         ("intensity", "Turbulence intensity", _intensity_section(found, data)),
         ("shape", "Shape of the tensor", _shape_section(found, data)),
         ("diagnostics", "Diagnostics", _diagnostics_section(found)),
@@ -341,31 +341,37 @@ def _state(found: ReportData, index: int) -> str:
     return ", flagged" if found.flag[index] else ""
 
 
-def _contraction_section(found: ReportData, data: dict[str, Any]) -> str:
-    if data["contraction"] is None:
+def _decided_section(found: ReportData, data: dict[str, Any]) -> str:
+    if data["decided"] is None:
         return ""
-    said = lines(words.contraction_words(found))
+    said = lines(words.decided_words(found))
     caption = (
-        _key("size", "contraction of the stress")
-        + _key("form", "of its shape: the stress over the trace, size taken out")
-        + "Contraction is 1 − posterior variance / prior variance: near 1 the data decided, near 0 the prior did. "
-        "Dots: median record; lines: nine tenths of the records."
+        _key("size", "what the data decided of the stress")
+        + "1: it is the data's; 0: it is the prior's; below 0, it leans on the prior more than the prior's own width. "
+        "Dots: median record; lines: nine tenths of the records. Least squares (below) uses no prior: all beams count "
+        "alike and as points, and a stress that the record's beams do not determine has none."
     )
-    rows = [
-        (
-            name,
-            *(interval(*points[index, [1, 0, 2]].tolist()) for points in figures.contraction_quantiles(found).values()),
-        )
-        for index, name in enumerate(STRESSES)
-    ]
+    header = (
+        "stress",
+        "decided by the data",
+        f"posterior median, {_UNIT}",
+        f"least squares, {_UNIT}",
+        "its standard error",
+        "records that have it",
+    )
     content = table(
-        "Contraction of each stress: median record (nine tenths)", ("stress", "of the stress", "of its shape"), rows
+        "What the data decided (nine tenths of the records), and least squares beside the posterior: median record",
+        header,
+        words.beside_rows(found),
     )
     along = words.direction_rows(found)
     if along:
-        header = ("direction of R, lidar frame", "weight", "seen", "contraction", "of its shape")
-        content += table("Contraction along the directions of R, median record", header, along)
-    return said + _figure("contraction", caption, folded("Table: contraction", content))
+        content += table(
+            "Directions of R: how far the data narrowed the share that each has of the whole, median record",
+            ("direction of R, lidar frame", "weight", "seen", "contraction of shape"),
+            along,
+        )
+    return said + _figure("decided", caption, folded("Table: what the data decided, and least squares", content))
 
 
 def _intensity_section(found: ReportData, data: dict[str, Any]) -> str:

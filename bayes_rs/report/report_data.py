@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.summarizing import DIAGNOSTICS
+from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
 
-NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
+NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
 """Columns of the summary that the page shows."""
 _N_PRIOR_SHAPE = 2000
+_PER_RECORD = ("pareto_k", "misfit", "stresses_learnt")
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class ReportData:
     derived : dict of str to dict
         Median and interval, each of shape (n_record,), of the derived quantities.
     per_record : dict of str to ndarray, shape (n_record,)
-        ``pareto_k`` and ``misfit``.
+        ``pareto_k``, ``misfit`` and ``stresses_learnt``.
     covariance : ndarray, shape (n_record, 6, 6)
         Posterior covariances of the stresses, m⁴ s⁻⁴.
     draws : callable or None
@@ -127,7 +128,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         wind_speed=wind_speed,
         numbers=numbers,
         derived=derived,
-        per_record={name: rows[name].to_numpy(dtype=np.float64) for name in ("pareto_k", "misfit")},
+        per_record={name: rows[name].to_numpy(dtype=np.float64) for name in _PER_RECORD},
         covariance=fit.covariance(),
         draws=partial(_thinned, fit) if fit.has_draws else None,
         prior_shape=np.asarray(prior / prior[:, :3].sum(axis=1, keepdims=True)),

@@ -135,6 +135,8 @@
     speed: new Float32Array(bytes(packed.speed)),
     numbers: rowsOf(packed.numbers),
     correlation: new Int8Array(bytes(packed.correlation)),
+    decided: new Int8Array(bytes(packed.decided)),
+    beside: rowsOf(packed.beside),
   };
   const n = records.number.length;
   const pairs = [];
@@ -313,27 +315,25 @@
     });
   };
 
-  // ---- contraction
+  // ---- what the data decided
 
-  const contraction = (holder, width) => {
-    const { contraction: size, contraction_shape: form } = data.contraction;
-    const all = finite([...size, ...form].flat());
-    const low = Math.max(Math.min(0, ...all), -1);
-    const svg = picture(width, 250, "Contraction of each stress against the prior",
-      data.stresses.map((name, k) => `${name} ${written(size[k][1], 2)}, of the shape ${written(form[k][1], 2)}`).join("; "));
-    const box = { left: 40, right: width - 14, top: 10, bottom: 210 };
+  const decided = (holder, width) => {
+    const points = data.decided;
+    const low = Math.max(Math.min(0, ...finite(points.flat())), -1);
+    const svg = picture(width, 220, "What the data decided of each stress",
+      data.stresses.map((name, k) => `${name} ${written(points[k][1], 2)}`).join("; "));
+    const box = { left: 40, right: width - 14, top: 10, bottom: 180 };
     const { x, y, inside } = axes(svg, box, [low - 0.03, 1.03], [6, 0], {
-      xTicks: ticks(low, 1, width / 70), yTicks: [], xName: "contraction: 0 the prior decided, 1 the data did",
+      xTicks: ticks(low, 1, width / 70), yTicks: [], xName: "0: the prior decided, 1: the data did",
     });
     inside.append(path(`M${x(0)} ${box.top}V${box.bottom}M${x(1)} ${box.top}V${box.bottom}`, "zero"));
     data.stresses.forEach((name, k) => {
-      svg.append(text(box.left - 6, y(k + 0.5) + 4, name, { "text-anchor": "end", class: "strong" }));
-      [[size[k], "size", 0.33], [form[k], "form", 0.67]].forEach(([[from, middle, to], kind, place]) => {
-        const at = y(k + place);
-        if (middle === null) return;
-        inside.append(path(`M${x(Math.max(from, low))} ${at}H${x(to)}`, kind));
-        inside.append(path(kind === "size" ? circles([[x(middle), at]], 4) : `M${x(middle)} ${round(at - 5)}l5 5l-5 5l-5 -5Z`, kind));
-      });
+      const [from, middle, to] = points[k];
+      const at = y(k + 0.5);
+      svg.append(text(box.left - 6, at + 4, name, { "text-anchor": "end", class: "strong" }));
+      if (middle === null) return;
+      inside.append(path(`M${x(Math.max(from, low))} ${at}H${x(to)}`, "size"));
+      inside.append(path(circles([[x(middle), at]], 4), "size"));
     });
     holder.append(svg);
   };
@@ -625,7 +625,7 @@
     const table = document.createElement("table");
     const head = document.createElement("thead");
     const heading = document.createElement("tr");
-    ["stress", "median", `${percent} from`, "to", "mean", "sd", ...data.stresses.slice(1).map((name) => `corr. ${name}`)].forEach((words, k) =>
+    ["stress", "median", `${percent} from`, "to", "mean", "sd", "decided by the data", "least squares", "its error", ...data.stresses.slice(1).map((name) => `corr. ${name}`)].forEach((words, k) =>
       heading.append(cell("th", words, { scope: "col", ...(k ? { class: "n" } : {}) })));
     head.append(heading);
     const body = document.createElement("tbody");
@@ -633,10 +633,13 @@
       const line = document.createElement("tr");
       line.append(cell("th", name, { scope: "row" }));
       [numbers.median, numbers.low, numbers.high, numbers.mean, numbers.sd].forEach((column) => line.append(cell("td", written(column[row]), { class: "n" })));
+      const share = records.decided[6 * chosen + row];
+      line.append(cell("td", share === -128 ? "–" : fixed(share / 100), { class: "n" }));
+      for (const offset of [0, 6]) line.append(cell("td", written(unpacked(records.beside, chosen, 6, offset)[row]), { class: "n" }));
       for (let column = 1; column < 6; column += 1) line.append(cell("td", row < column ? fixed(correlationOf(row, column)) : "", { class: "n" }));
       body.append(line);
     });
-    table.append(cell("caption", `Posterior of ${nameOf(chosen)}, ${unit}, and correlations between the stresses`), head, body);
+    table.append(cell("caption", `Posterior of ${nameOf(chosen)}, ${unit}, what the data decided of it, least squares, and correlations between the stresses`), head, body);
     const box = document.createElement("div");
     for (const [name, value] of [["class", "scroll"], ["tabindex", "0"], ["role", "region"], ["aria-label", "Posterior of the chosen record"]]) box.setAttribute(name, value);
     box.append(table);
@@ -708,7 +711,7 @@
 
   // ---- the page
 
-  const figures = { availability, stresses, contraction, intensity, corner, shape, diagnostics };
+  const figures = { availability, stresses, decided, intensity, corner, shape, diagnostics };
   const holders = [...document.querySelectorAll("[data-figure]")];
   const widths = new Map();
   const draw = (holder) => {

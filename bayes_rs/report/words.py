@@ -7,7 +7,7 @@ import numpy as np
 from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.report.report_data import ReportData
-from bayes_rs.report.tables import number
+from bayes_rs.report.tables import NO_VALUE, number
 
 DIAGNOSTIC_WORDS = {
     "ess_bulk": "bulk ESS, least of the six",
@@ -45,34 +45,61 @@ def median_words(found: ReportData) -> str:
     return ", ".join(f"{name} {number(value)}" for name, value in zip(STRESSES, middle, strict=True))
 
 
-def contraction_words(found: ReportData) -> list[str]:
-    """Say what the beams see, what the prior was, and which of the two decided each stress."""
+def decided_words(found: ReportData) -> list[str]:
+    """Say what the beams see, what the prior was, how much was learnt, and who decided each stress."""
     lines = []
     if found.sight:
         lines.append(f"The scan {found.sight}.")
     if found.prior:
         lines.append(f"Prior: {found.prior}.")
-    middle = np.median(found.numbers["contraction_shape"][found.fitted], axis=0)
+    learnt = np.nanmedian(found.per_record["stresses_learnt"][found.fitted])
+    lines.append(f"Stresses learnt from the data, of six: {learnt:.1f} in the median record.")
+    middle = np.nanmedian(found.numbers["decided"][found.fitted], axis=0)
     data = [name for name, value in zip(STRESSES, middle, strict=True) if value > 0.5]
     prior = [name for name in STRESSES if name not in data]
-    share = "With the size taken out, the data removed {} of the prior's variance in the median record of: {}."
     if data:
-        lines.append(share.format("more than half", ", ".join(data)))
+        lines.append(f"In the median record the data decided more than half of: {', '.join(data)}.")
     if prior:
-        lines.append(share.format("less than half", ", ".join(prior)))
+        lines.append(f"In the median record the prior decided more than half of: {', '.join(prior)}.")
     return lines + _direction_words(found)
 
 
+def hundredths(middle: float, low: float, high: float) -> str:
+    """Write a share with its interval, to a hundredth."""
+    texts = [f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", "−") for value in (middle, low, high)]
+    return f"{texts[0]} ({texts[1]} to {texts[2]})"
+
+
+def beside_rows(found: ReportData) -> list[tuple[str, ...]]:
+    """Return a row for each stress: what decided it, posterior and least squares, medians over the fitted records."""
+    rows: list[tuple[str, ...]] = []
+    for index, name in enumerate(STRESSES):
+        low, middle, high = np.nanquantile(found.numbers["decided"][found.fitted, index], [0.05, 0.5, 0.95]).tolist()
+        posterior = np.median(found.numbers["median"][found.fitted, index])
+        plain, error = (found.numbers[key][found.fitted, index] for key in ("least_squares", "least_squares_se"))
+        known = np.isfinite(plain)
+        rows.append(
+            (
+                name,
+                hundredths(middle, low, high),
+                number(posterior),
+                number(np.median(plain[known])) if known.any() else NO_VALUE,
+                number(np.nanmedian(error)) if np.isfinite(error).any() else NO_VALUE,
+                f"{np.count_nonzero(known)}",
+            )
+        )
+    return rows
+
+
 def direction_rows(found: ReportData) -> list[tuple[str, ...]]:
-    """Return a row for each direction of R: words, weight, seen or not, and both contractions in the median record."""
-    columns = ["weight", "contraction", "contraction_shape", *STRESSES]
+    """Return a row for each direction of R, median record: words, weight, seen or not, and contraction of shape."""
+    columns = ["weight", "contraction_shape", *STRESSES]
     along = found.directions.groupby("direction")[columns].median()
     return [
         (
             direction_words(row[list(STRESSES)].to_numpy(dtype=np.float64)),
             number(row["weight"]),
             "yes" if row["weight"] > 0.0 else "no",
-            number(row["contraction"], 2),
             number(row["contraction_shape"], 2),
         )
         for _, row in along.iterrows()
@@ -84,10 +111,10 @@ def _direction_words(found: ReportData) -> list[str]:
     unseen = [row for row in rows if row[2] == "no"]
     if not unseen:
         return [
-            f"Of the six directions of R the beams see all; worst {rows[-1][0]}, contraction of shape {rows[-1][4]}."
+            f"Of the six directions of R the beams see all; worst {rows[-1][0]}, contraction of shape {rows[-1][3]}."
         ]
     return [
         f"Of the six directions of R no beam sees {len(unseen)}: "
-        + "; ".join(f"{row[0]} (contraction of shape {row[4]})" for row in unseen)
+        + "; ".join(f"{row[0]} (contraction of shape {row[3]})" for row in unseen)
         + ". What the page says of them is the prior's, and what follows from the others."
     ]
