@@ -7,6 +7,7 @@ from scenes import draw_variances, plain_noise, records_of
 from bayes_rs import InputError, fit, load_scan
 from bayes_rs.fits.frames import to_lidar_frame
 from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.priors.ratio import WeakPrior
 
 
@@ -52,7 +53,7 @@ def test_draws_and_summary_agree(result):
 def test_at_no_yaw_both_frames_are_one(result):
     _, tree = result
     in_wind, in_lidar = (tree.summary(frame=frame) for frame in ("wind", "lidar"))
-    columns = ["mean", "sd", "hdi_low", "hdi_high", "contraction", "contraction_shape", "r_hat"]
+    columns = ["mean", "sd", "hdi_low", "hdi_high", "decided", "r_hat"]
     one, other = (table[table["record"] == 1][columns].to_numpy() for table in (in_wind, in_lidar))
     np.testing.assert_allclose(one, other, rtol=1e-9)
     ess = [table[table["record"] == 1]["ess_bulk"].to_numpy() for table in (in_wind, in_lidar)]
@@ -60,14 +61,15 @@ def test_at_no_yaw_both_frames_are_one(result):
     assert not np.allclose(*(table[table["record"] == 0]["mean"] for table in (in_wind, in_lidar)), rtol=0.01)
 
 
-def test_contraction_is_against_the_prior_in_the_same_frame(result):
+def test_what_the_data_decided_is_against_the_prior_in_the_same_frame(result):
     _, tree = result
     table = tree.summary(frame="lidar", derived=["tke", "ti"]).set_index(["record", "stress"])
     prior = to_lidar_frame(tree["prior/stress"].values.reshape(-1, 6), np.deg2rad(25.0))
-    draws = tree.lidar_frame().values[:, :, 0].reshape(-1, 6)
-    expected = 1.0 - draws.var(axis=0) / prior.var(axis=0)
-    found = [table.loc[(0, name), "contraction"] for name in ("uu", "vv", "ww", "uv", "uw", "vw")]
+    draws = tree.lidar_frame().transpose("record", "chain", "draw", "component").values[:1]
+    expected = what_data_decided(draws, PriorRoom.of(prior))[0][0]
+    found = [table.loc[(0, name), "decided"] for name in ("uu", "vv", "ww", "uv", "uw", "vw")]
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+    draws = draws.reshape(-1, 6)
     assert table.loc[(0, "ti"), "mean"] == pytest.approx(np.sqrt(draws[:, 0]).mean() / 10.0, rel=1e-9)
     plain = tree.summary(derived=["tke"]).set_index(["record", "stress"])
     assert table.loc[(0, "tke"), "mean"] == pytest.approx(plain.loc[(0, "tke"), "mean"], rel=1e-9)

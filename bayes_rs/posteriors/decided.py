@@ -36,9 +36,9 @@ class PriorRoom:
     Notes
     -----
     For `WeakPrior` and `RatioPrior` the coordinates are the prior's own, for any other prior those of the normal
-    distribution with its mean and covariance. The room of a variance is the standard deviation of its logarithm, or of
-    that of its ratio to the sum of the other two, whichever is less. The room of a covariance is how far it moves with
-    the prior's shape, where uu + vv + ww is known.
+    distribution with its mean and covariance. The room of vv and ww is the standard deviation of their logarithms where
+    uu is known, that of uu the one where vv + ww is (or that of ln uu, if it is less). The room of a covariance is how
+    far it moves with the prior's shape where uu + vv + ww is known.
     """
 
     mean: FloatArray
@@ -61,12 +61,13 @@ class PriorRoom:
         shape[0] = -(on_size[1:] @ shape[1:])  # less what follows from the size
         standard = np.concatenate([np.eye(len(STRESSES), 1) / size_sd, shape], axis=1)
         variances = draws[:, :3]
-        others = variances.sum(axis=1, keepdims=True) - variances
-        of_variances = np.minimum(np.log(variances).std(axis=0), np.log(variances / others).std(axis=0))
+        logarithm = np.log(variances)
+        of_uu = min(size_sd, float((logarithm[:, 0] - np.log(variances[:, 1] + variances[:, 2])).std()))
         of_size = draws / variances.sum(axis=1, keepdims=True)
         quantity = of_size[:, 3:] / np.sqrt(of_size[:, _ROWS] * of_size[:, _COLUMNS]).mean(axis=0)
-        moved = (centred @ standard[:, 1:]).T @ (quantity - quantity.mean(axis=0)) / len(draws)
-        return cls(mean, standard, size_sd, np.concatenate([of_variances, np.sqrt((moved**2).sum(axis=0))]))
+        others = np.concatenate([logarithm[:, 1:], quantity], axis=1)
+        moved = (centred @ standard[:, 1:]).T @ (others - others.mean(axis=0)) / len(draws)
+        return cls(mean, standard, size_sd, np.concatenate([[of_uu], np.sqrt((moved**2).sum(axis=0))]))
 
 
 def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
