@@ -154,8 +154,8 @@ class Impossible:
         usual = [name for name in ("cm/s", "mm/s") if _USUAL[0] <= np.median(sizes) * VELOCITY_UNITS[name] <= _USUAL[1]]
         advice = "check their unit, and that they are what they should be"
         if hint and usual:
-            advice = f"they would be usual in {usual[0]}: say so with velocity_unit={usual[0]!r} (--velocity-unit"
-            advice += f" {usual[0]}), or give a larger velocity_limit (--velocity-limit)"
+            named = " or ".join(f"velocity_unit={name!r} (--velocity-unit {name})" for name in usual)
+            advice = f"another unit would make them usual, {named}; or give a larger velocity_limit (--velocity-limit)"
         where = f" in {self.first}" if self.first else ""
         raise InputError(
             f"{what} that no wind has: {scattered} of {self.n_good + scattered} are beyond {limit:g} {unit}, such as "

@@ -19,7 +19,7 @@ from bayes_rs.records.flags import BEAM_FLAGS, flag_attributes
 NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
 
-_ANGLES = ("yaw", "tilt", "roll")
+_ANGLES = ("yaw", "tilt", "roll", "yaw_sd")
 _WORDS = {
     "variance": "variances",
     "mean": "mean radial velocities",
@@ -106,8 +106,9 @@ def _without(records: xr.Dataset, name: str, values: FloatArray, bad: BoolArray)
     """Return records whose bad entries are missing, or whose beams with such are flagged."""
     if name not in ("variance", "mean") or "flag" not in records:
         return records.assign({name: (records[name].dims, np.where(bad, np.nan, values), records[name].attrs)})
-    flag = np.where(bad, records["flag"].values.astype(np.int64) | BEAM_FLAGS["impossible"], records["flag"].values)
-    return records.assign(flag=(records["flag"].dims, flag.astype(np.uint8), flag_attributes(BEAM_FLAGS)))
+    flag = records["flag"].values.copy()
+    flag[bad] |= BEAM_FLAGS["impossible"]
+    return records.assign(flag=(records["flag"].dims, flag, flag_attributes(BEAM_FLAGS)))
 
 
 def add_not_believed(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -148,8 +148,9 @@ def _check_possible(column: Column, values: FloatArray) -> None:
         index = int(np.argmax(bad))
         shown = in_words(float(values[index]))
         raise InputError(
-            f"Invalid {column.name} {shown} in {column.where(index)}, one of {np.count_nonzero(bad)}: it must be within "
-            f"{limit:g} {unit}; if the number marks a missing entry, say so with invalid={shown} (--invalid {shown})."
+            f"Invalid {column.name} {shown} in {column.where(index)}, one of {np.count_nonzero(bad)}: it must be "
+            f"within {limit:g} {unit}; if the number marks a missing entry, say so with invalid={shown} (--invalid "
+            f"{shown})."
         )
 
 
