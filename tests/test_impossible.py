@@ -332,6 +332,15 @@ class TestClocksThatWereNotSet:
         assert f"{n_early} rows of file {file_name} have the time of a clock that was not set" in line
         assert re.search(rf"the first is (line|row|sample|ray) \d+, {epoch[:10]}", line)
 
+    def test_rows_of_a_wide_table_count_once(self, tmp_path):
+        frame = wide_frame(series_of(TOGETHER, n_scan=20))
+        frame.loc[:1, "time"] = np.datetime64("1970-01-01") + np.arange(2) * np.timedelta64(1, "s")
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        got = read(tmp_path / "a.csv", TOGETHER)
+        assert got.sizes["sample"] == 18 * 6
+        assert report_of(got)["rows_unset_clock"] == 2
+        assert "the first is line 2, 1970-01-01T00:00:00Z" in doubt_lines(got)[0]
+
     def test_a_jump_ahead_and_back_is_no_error(self, tmp_path):
         """It was one: time goes backwards behind it."""
         series = series_of(SIX, n_scan=60)

@@ -18,6 +18,7 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.records.belief import believed
 
 BoolArray = NDArray[np.bool_]
 
@@ -195,6 +196,7 @@ def estimate(
     [1.726, 1.793, 1.85]
     """
     scan = _checked_scan(records, as_scan(scan))
+    records = believed(records)
     form = _chosen_form(method, ratio_vv, ratio_ww)
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
