@@ -74,7 +74,7 @@ def records_data(found: ReportData) -> dict[str, Any]:
     data: dict[str, Any] = {
         "record": pack_steps(found.record[rows]),
         "position": pack_steps(position[rows]),
-        "flag": pack(found.flag[rows], "u2"),
+        "flag": pack(found.flag[rows], "u4"),
         "speed": pack(found.wind_speed[rows], "f4"),
         "numbers": pack_rows(numbers),
         "correlation": pack(np.where(np.isfinite(correlation), np.rint(100.0 * correlation), -128), "i1"),
