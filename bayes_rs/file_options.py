@@ -21,7 +21,9 @@ DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
 SIGNS = ("away", "towards")
 TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
 TIME_FORMATS = ("unix", "labview", "matlab")
-VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0}
+VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0, "cm/s": 0.01, "mm/s": 0.001}
+VELOCITY_LIMIT = 90.0
+"""m/s; faster than any wind near the ground, and slower than the numbers that mark a missing entry, from 99 on."""
 DECIMALS = (".", ",")
 TURNS = ("up", "down")
 OUT_OF_ORDER = ("error", "sort")
@@ -85,6 +87,9 @@ class FileOptions:
     velocity_unit: str | None = option(None, "Unit of the radial velocity in the files", choices=tuple(VELOCITY_UNITS))
     invalid: float | Sequence[float] | None = option(
         None, "Numbers that mark a missing entry, such as 9999", metavar="NUMBER"
+    )
+    velocity_limit: float | None = option(
+        None, f"Speed that no wind has, by default {VELOCITY_LIMIT:g}: faster velocities count as missing", unit="m/s"
     )
     time_zone: str | None = option(None, "Zone of times that carry none, as UTC, UTC+1 or Europe/Berlin")
     time_format: str | None = option(
@@ -155,7 +160,12 @@ class FileOptions:
         put("separator", _separator)
         put("status_valid", _number, check=check_finite, unit="")
         put("phase_zero_deg", _number, check=check_finite, unit="degrees")
-        for name, unit in (("sample_duration", "s"), ("angle_tolerance_deg", "degrees"), ("range_tolerance", "m")):
+        for name, unit in (
+            ("velocity_limit", "m/s"),
+            ("sample_duration", "s"),
+            ("angle_tolerance_deg", "degrees"),
+            ("range_tolerance", "m"),
+        ):
             put(name, _number, check=check_positive, unit=unit)
         if self.time_zone is not None:
             as_zone(self.time_zone)

@@ -36,6 +36,7 @@ SAMPLES = {
         "positive": one("--positive", "towards"),
         "velocity_unit": one("--velocity-unit", "km/h"),
         "invalid": Sample((9999.0, -999.0), ("--invalid", "9999", "--invalid", "-999")),
+        "velocity_limit": one("--velocity-limit", 120.0),
         "time_zone": one("--time-zone", "UTC+1"),
         "time_format": one("--time-format", "unix"),
         "time_stamp": one("--time-stamp", "middle"),

@@ -20,6 +20,7 @@ OTHER = {
     "positive": "towards",
     "velocity_unit": "km/h",
     "invalid": (9999.0, -1.0),
+    "velocity_limit": 120.0,
     "time_zone": "UTC+1",
     "time_format": "%d.%m.%Y %H:%M",
     "time_stamp": "end",

@@ -21,7 +21,7 @@ from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
-from bayes_rs.report.packing import MISSING, pack, pack_rows, pack_steps, plain
+from bayes_rs.report.packing import MISSING, pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.report_data import NUMBERS, report_data
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
@@ -537,8 +537,15 @@ class TestPieces:
         assert pack_steps(np.array([5])) == {"first": 5.0, "step": 0.0, "n": 1}
         assert pack_steps(np.array([5, 7, 10])) == {"values": pack(np.array([5.0, 7.0, 10.0]), "f8")}
 
-    def test_flags_fit_in_sixteen_bits(self):
-        assert max(FLAGS.values()) < 2**16
+    def test_few_numbers(self):
+        values = np.array([0, 65536, 0, 5, 65536])
+        packed = pack_few(values)
+        place = np.frombuffer(base64.b64decode(packed["place"]), dtype="<u2")
+        assert [packed["values"][index] for index in place] == values.tolist()
+
+    def test_flags_fit_in_the_bits_that_a_browser_counts_with(self):
+        """There & makes numbers of 32 bits with a sign."""
+        assert max(FLAGS.values()) < 2**31
 
     def test_plain_numbers_have_no_nan(self):
         assert plain(np.array([[1.23456, np.nan], [np.inf, -2.0]]), 3) == [[1.23, None], [None, -2.0]]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
-from bayes_rs.cli.records_of_files import exit_if_skipped, records_and_scan
+from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 
 if TYPE_CHECKING:
     from bayes_rs.noise.noise import Noise
@@ -59,7 +59,7 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
         made, _ = records_and_scan(settings)
         write_netcdf(made, part)
     click.echo(f"{made.sizes['record']} records in {output}")
-    exit_if_skipped(made)
+    exit_if_doubtful(made)
 
 
 @click.command(cls=GroupedCommand)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, refuse_beside_noise, refuse_for_records, settings_of, settings_options
-from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_skipped, records_and_scan
+from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_object import Fit
@@ -144,7 +144,7 @@ def sensitivity(
         click.echo(line)
     if output is not None:
         click.echo(f"table in {output}")
-    exit_if_skipped(made)
+    exit_if_doubtful(made)
 
 
 @click.command()

@@ -20,12 +20,17 @@ EXIT_FLAGGED = 1
 """Exit code of what is done, with failures that are listed."""
 
 
-def exit_if_skipped(dataset: xr.Dataset) -> None:
-    """Name the files that were skipped because they could not be used, and exit with 1; else do nothing."""
+def exit_if_doubtful(dataset: xr.Dataset) -> None:
+    """Name the files that were skipped and what is not believed of the others, and exit with 1; else do nothing."""
+    from bayes_rs.records.belief import doubt_lines
+
     skipped = json.loads(dataset.attrs.get("read_report", "{}")).get("files_skipped", [])
     for file in skipped:
         click.echo(f"file {file['name']}: {file['reason']}", err=True)
-    if skipped:
+    doubts = doubt_lines(dataset)
+    for line in doubts:
+        click.echo(line, err=True)
+    if skipped or doubts:
         sys.exit(EXIT_FLAGGED)
 
 

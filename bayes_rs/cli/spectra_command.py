@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
-from bayes_rs.cli.records_of_files import exit_if_skipped, records_of, series_of
+from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of
 
 
 @click.command(cls=GroupedCommand)
@@ -80,4 +80,4 @@ def spectra(
         say=click.echo,
     )
     click.echo(f"results in {output}")
-    exit_if_skipped(made)
+    exit_if_doubtful(made)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
-from bayes_rs.cli.records_of_files import exit_if_skipped, records_and_scan
+from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 
 
 @click.command(cls=GroupedCommand)
@@ -76,4 +76,4 @@ def wind(
         f"{len(table)} records; median standard deviation of the wind speed {middle['wind_speed_sd']:.2f} m/s, of its "
         f"direction {middle['yaw_sd']:.1f}°; table in {output}"
     )
-    exit_if_skipped(made)
+    exit_if_doubtful(made)

@@ -19,6 +19,7 @@ from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
 from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.records.belief import believed
 
 BoolArray = NDArray[np.bool_]
 
@@ -194,6 +195,7 @@ def estimate(
     [1.726, 1.793, 1.85]
     """
     scan = _checked_scan(records, as_scan(scan))
+    records = believed(records)
     form = _chosen_form(method, ratio_vv, ratio_ww)
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:

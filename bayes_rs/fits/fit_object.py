@@ -197,8 +197,11 @@ class Fit(FitData):
 
     @property
     def failures(self) -> list[str]:
-        """One line for each record that was not fitted or whose chain fell short; of many, the first ones."""
-        return failure_lines(self.flag, self.record_names)
+        """What of the data is not believed, and one line for each record that was not fitted or whose chain fell short.
+
+        Of many records, the first ones.
+        """
+        return [*self.run.get("doubts", []), *failure_lines(self.flag, self.record_names)]
 
     @property
     def remarks(self) -> list[str]:

@@ -26,6 +26,7 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.progress import progress_counter
+from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
 
 
@@ -124,7 +125,7 @@ def fit(
     """
     own, choice = split_options({"seed": seed, **options})
     check_are_records(records)
-    used = as_scan(scan)
+    records, used = believed(records), as_scan(scan)
     check_workers(workers, client)
     given = given_noise(noise)
     own = with_median_length_scale(own, choice, records, given)

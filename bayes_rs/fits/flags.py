@@ -23,10 +23,13 @@ FLAGS: dict[str, int] = {
     "likelihood_failed": 1024,
     "excluded": 2048,
     "outside_noise": 4096,
+    "cut_off": 65536,
 }
 """Bits of a record's flag."""
 
-UNFITTED = FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"] | FLAGS["excluded"]
+UNFITTED = (
+    FLAGS["no_usable_beam"] | FLAGS["no_wind"] | FLAGS["likelihood_failed"] | FLAGS["excluded"] | FLAGS["cut_off"]
+)
 """Flags of a record that was not fitted."""
 
 FLAG_MEANINGS = {
@@ -44,6 +47,7 @@ FLAG_MEANINGS = {
     "likelihood_failed": "the likelihood could not be calculated; not fitted",
     "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
     "too wide",
+    "cut_off": "the data begin or end within the record, so that no beam has enough samples; not fitted",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -83,9 +87,11 @@ def flag_words(flag: int) -> str:
 def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what the records themselves say, as one bit mask for each; the bits are in `FLAGS`."""
     flag = np.zeros(len(usable), dtype=np.int64)
-    excluded = ~usable.any(axis=1) & _is_excluded(records)
+    excluded = ~usable.any(axis=1) & _has(records, "record_excluded").any(axis=1)
+    cut_off = ~usable.any(axis=1) & ~excluded & _has(records, "cut_off").all(axis=1)
     flag[excluded] |= FLAGS["excluded"]
-    flag[~usable.any(axis=1) & ~excluded] |= FLAGS["no_usable_beam"]
+    flag[cut_off] |= FLAGS["cut_off"]
+    flag[~usable.any(axis=1) & ~excluded & ~cut_off] |= FLAGS["no_usable_beam"]
     flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
     unfitted = np.setdiff1d(np.flatnonzero(usable.any(axis=1)), fitted)
     flag[unfitted] |= FLAGS["no_wind"]
@@ -98,13 +104,13 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
     return flag
 
 
-def _is_excluded(records: xr.Dataset) -> NDArray[np.bool_]:
-    """Say which records the rules of quality took out."""
+def _has(records: xr.Dataset, meaning: str) -> NDArray[np.bool_]:
+    """Say which beams of which records have a flag, (record, beam); none if the records do not know it."""
     if "flag" not in records:
-        return np.zeros(records.sizes["record"], dtype=np.bool_)
+        return np.zeros(records["variance"].shape, dtype=np.bool_)
     meanings = str(records["flag"].attrs.get("flag_meanings", "")).split()
     masks = dict(zip(meanings, np.atleast_1d(records["flag"].attrs.get("flag_masks", [])).tolist(), strict=True))
-    return np.asarray(((records["flag"].values & masks.get("record_excluded", 0)) != 0).any(axis=1))
+    return np.asarray((records["flag"].values & masks.get(meaning, 0)) != 0)
 
 
 def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:

@@ -29,6 +29,7 @@ from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.progress import progress as progress_bar
+from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
 
 TARGETS = ("record", "ensemble")
@@ -173,6 +174,7 @@ def compare_inflow(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )
     check_are_records(records)
+    records = believed(records)
     used = as_scan(scan)
     made, records = noise_and_records(records, used, given_noise(noise), asked, choice, lambda _: None)
     used, made, batch = prepare(records, used, made, asked)

@@ -29,6 +29,7 @@ from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.posteriors.decided import PriorRoom
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
+from bayes_rs.records.belief import doubt_lines
 
 LAYOUT = 4
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
@@ -136,6 +137,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "prior_widths": [float(width) for width in prior.interval_widths(options.prob)],
         "nuisances": options.nuisances.in_words(),
         "nuisance_names": list(options.nuisances.names),
+        "doubts": doubt_lines(records),
         "n_record": len(batch),
         "part_records": PART_RECORDS,
         "n_chain": N_CHAIN,

@@ -21,6 +21,7 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
+from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
 
 COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "decided", "decided_by")
@@ -84,6 +85,7 @@ def prior_sensitivity(
         check_positive(factor, what="factor", unit="", where="the check of the prior")
     every = sorted({1.0, *(float(factor) for factor in factors)})
     check_are_records(records)
+    records = believed(records)
     used, given = as_scan(scan), given_noise(noise)
     own = with_median_length_scale(own, choice, records, given)
     made, records = noise_and_records(records, used, given, own, choice, say)

@@ -22,6 +22,7 @@ from bayes_rs.noise.choice import noise_for_records
 from bayes_rs.noise.gaps import gap_noise
 from bayes_rs.noise.net import TOLERANCE, refined_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
@@ -144,6 +145,7 @@ def calibrate(
     common: dict[str, Any] = {"cache": cache, "sonic": sonic, "progress": progress}
     if records is not None:
         check_are_records(records)
+        records = believed(records)
         if yaw_deg is not None or present is not None:
             name = "yaw_deg" if present is None else "present"
             raise InputError(f"Invalid {name} with records: the noise is for all of them; leave it out.")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.quality.belief import is_impossible
 from bayes_rs.quality.blades import is_blade_passage
 from bayes_rs.quality.frozen import is_frozen
 from bayes_rs.quality.rules import QualityRules, Window
@@ -20,6 +21,9 @@ from bayes_rs.quality.spikes import is_spike
 
 ALWAYS_LISTED = ("missing", "status", "cnr", "despike")
 """Filters that reports name even when they are off."""
+
+_ONLY_IF_SOME = "impossible"
+"""The filter that is always on, and is named only where it drops something."""
 
 Filter = Callable[[BoolArray], BoolArray]
 """From the samples that are still there to those that pass; what it says of the others does not count."""
@@ -52,9 +56,10 @@ class Filtered:
         return np.asarray(self.cause == self.names.index(name))
 
     def counts(self) -> dict[str, int]:
-        """Return how many samples each filter dropped: all that were on, and `ALWAYS_LISTED`."""
+        """Return how many samples each filter dropped: those that were on, and `ALWAYS_LISTED`."""
         listed = (*self.names, *(name for name in ALWAYS_LISTED if name not in self.names))
-        return {name: int(np.count_nonzero(self.dropped_by(name))) for name in listed}
+        number = {name: int(np.count_nonzero(self.dropped_by(name))) for name in listed}
+        return {name: count for name, count in number.items() if count or name != _ONLY_IF_SOME}
 
 
 def apply_filters(samples: BeamSamples, rules: QualityRules) -> Filtered:
@@ -94,6 +99,9 @@ def _filters(samples: BeamSamples, rules: QualityRules) -> list[tuple[str, Filte
     ):
         if window is not None and values is not None:
             chosen.append((name, partial(_window_passes, values, samples, window)))
+    impossible = is_impossible(samples.velocity, samples.velocity_limit)
+    if impossible.any():
+        chosen.append(("impossible", lambda _: ~impossible))
     if rules.hard_target_cnr is not None:
         low, slow = rules.hard_target_cnr, rules.hard_target_speed
         chosen.append(("hard_target", lambda _: ~((column["cnr"] >= low) & (np.abs(samples.velocity) <= slow))))

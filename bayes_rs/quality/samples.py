@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.file_options import VELOCITY_LIMIT
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -32,6 +33,8 @@ class BeamSamples:
         The scan's numbers of the beams.
     n_record : int
         Number of records.
+    velocity_limit : float
+        Speed that no wind has, m/s.
     """
 
     time: IntArray
@@ -41,6 +44,7 @@ class BeamSamples:
     columns: Mapping[str, FloatArray]
     numbers: IntArray
     n_record: int
+    velocity_limit: float = VELOCITY_LIMIT
 
     @property
     def n_group(self) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.file_options import TIME_STAMPS, VELOCITY_UNITS, FileOptions, as_zone
+from bayes_rs.file_options import TIME_STAMPS, VELOCITY_LIMIT, VELOCITY_UNITS, FileOptions, as_zone
 from bayes_rs.geometry.scan import Scan
 
 
@@ -23,6 +23,7 @@ class FileFormat(FileOptions):
     positive: str = "away"
     velocity_unit: str = "m/s"
     invalid: tuple[float, ...] = ()
+    velocity_limit: float = VELOCITY_LIMIT
     time_zone: str = "UTC"
     separator: str = ","
     decimal: str = "."
@@ -47,6 +48,14 @@ class FileFormat(FileOptions):
         """Convert radial velocities as in the file to m/s, positive away from the lidar."""
         sign = -1.0 if self.positive == "towards" else 1.0
         return sign * VELOCITY_UNITS[self.velocity_unit] * velocity
+
+    def as_written(self, velocity: FloatArray) -> FloatArray:
+        """Return radial velocities, m/s and positive away, as they stand in the file: the inverse of `to_away`."""
+        factor = float(self.to_away(np.ones(1))[0])
+        exact = velocity / factor
+        with np.errstate(over="ignore"):
+            plain = np.array([float(f"{number:.12g}") for number in exact.tolist()])
+            return np.where(plain * factor == velocity, plain, exact)  # what the division has lost at the last digit
 
     def to_start(self, time: NDArray[np.datetime64], duration: ArrayLike | None = None) -> NDArray[np.datetime64]:
         """Move times of samples to the start of their accumulation.

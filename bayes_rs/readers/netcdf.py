@@ -19,13 +19,19 @@ from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
 
 RECORD_DIMS = ("record", "beam")
 """Dimensions of the variances in a file of records, which is no file of radial velocities."""
 SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
-_UNITS = {**{unit: unit for unit in VELOCITY_UNITS}, "m s-1": "m/s", "m s^-1": "m/s", "km h-1": "km/h", "knots": "knot"}
+_UNITS = {
+    **{unit: unit for unit in VELOCITY_UNITS},
+    **{f"{length} {second}": f"{length}/s" for length in ("m", "cm", "mm") for second in ("s-1", "s^-1")},
+    "km h-1": "km/h",
+    "knots": "knot",
+}
 
 
 def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -139,7 +145,9 @@ def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[s
                 f"Variable {str(variable.name)!r} in file {str(file)!r} has the dimensions {variable.dims}: they must "
                 f"be among those of the radial velocity, {velocity.dims}."
             )
-        spread = _without_coordinates(variable).broadcast_like(velocity).transpose(*velocity.dims)
+        plain = _without_coordinates(variable)
+        plain = plain.copy(data=without_missing(plain.variable).values)
+        spread = plain.broadcast_like(velocity).transpose(*velocity.dims)
         values = pd.Series(spread.to_numpy().ravel())
         columns[name] = Column(name, str(variable.name), values, file, "sample", 1)
     return columns

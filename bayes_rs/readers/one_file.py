@@ -10,6 +10,7 @@ from pathlib import Path
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
@@ -47,18 +48,16 @@ def read_file(file: Path, scan: Scan, options: FileOptions) -> Samples:
     """
     with _plain(file, options.file_format) as (plain, named):
         reader, file_format = _reader_of(plain, scan, options)
-        return named(_with_status(reader.read(plain, scan, file_format), options))
+        (samples,) = believed([named(_with_status(reader.read(plain, scan, file_format), options))])
+        return samples
 
 
 def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Iterator[Samples]:
     """Read one file about `n_row` rows at a time, or whole where its format cannot be read in pieces."""
     with _plain(file, options.file_format) as (plain, named):
         reader, file_format = _reader_of(plain, scan, options)
-        if reader.pieces is None:
-            yield named(_with_status(reader.read(plain, scan, file_format), options))
-        else:
-            for part in reader.pieces(plain, scan, file_format, n_row):
-                yield named(_with_status(part, options))
+        pieces = reader.pieces or (lambda *asked: iter((reader.read(*asked[:3]),)))
+        yield from believed(named(_with_status(part, options)) for part in pieces(plain, scan, file_format, n_row))
 
 
 def _with_status(samples: Samples, options: FileOptions) -> Samples:

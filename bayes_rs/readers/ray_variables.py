@@ -16,6 +16,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.rays import Rays, direction_of
 
 _ANGLE_LIMIT = 720.0  # degrees; scanners count on beyond a turn, fill values are far away
@@ -235,7 +236,7 @@ def decode_times(variable: xr.Variable, units: str, name: str, file: Path) -> ND
     """
     attributes = {"units": units, **{key: variable.attrs[key] for key in ("calendar",) if key in variable.attrs}}
     try:
-        raw = np.asarray(variable.values, dtype=np.float64)
+        raw = np.asarray(without_missing(variable).values, dtype=np.float64)
         counted = xr.Variable(variable.dims, np.where(np.isfinite(raw), raw, np.nan), attributes)
         decoded = xr.decode_cf(xr.Dataset({"t": counted}), decode_timedelta=False)["t"].values
         if not np.issubdtype(decoded.dtype, np.datetime64):
@@ -287,7 +288,7 @@ def _numbers(variable: xr.Variable, name: str, own: str, file: Path, size: Mappi
             f"Variable {own!r} in file {str(file)!r} has the units {unit!r}: this format counts in degrees, m and m/s; "
             "convert the file."
         )
-    values = variable.transpose(*(dim for dim in size if dim in variable.dims)).values
+    values = without_missing(variable).transpose(*(dim for dim in size if dim in variable.dims)).values
     shape = [length if dim in variable.dims else 1 for dim, length in size.items()]
     try:
         return np.broadcast_to(np.asarray(values, dtype=np.float64).reshape(shape), tuple(size.values()))

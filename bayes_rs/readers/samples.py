@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 
@@ -35,6 +36,8 @@ class Samples:
     """Where each sample stands in its file, as a person would count."""
     row_word: str
     counts: dict[str, int] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """What else the report says of the file: what is not believed of it."""
     out_of_order: int | None = None
     """Samples earlier than one of the same beam above them in the file, where these are only a piece of it."""
 
@@ -49,6 +52,7 @@ class Samples:
             status=None if self.status is None else self.status[index],
             row=self.row[index],
             counts=self.counts if with_counts else dict.fromkeys(self.counts, 0),
+            facts=self.facts if with_counts else {},
             out_of_order=self.out_of_order if with_counts else 0,
         )
 
@@ -158,7 +162,9 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
             "read_report": json.dumps(counted),
         },
     )
-    return series if status_valid is None else series.assign_attrs(status_valid=status_valid)
+    own = {} if status_valid is None else {"status_valid": status_valid}
+    limit = max(part.file_format.velocity_limit for part in parts)
+    return series.assign_attrs(own if limit == VELOCITY_LIMIT else {**own, "velocity_limit": limit})
 
 
 def _about_files(
@@ -174,6 +180,7 @@ def _about_files(
                 "name": part.file.name,
                 "format": part.kind,
                 **part.counts,
+                **part.facts,
                 "samples_out_of_order": count,
                 **_options_used(part.file_format),
             }

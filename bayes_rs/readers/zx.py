@@ -14,8 +14,9 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.file_options import FileOptions
+from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.belief import is_impossible
 from bayes_rs.readers.compressed import UNREADABLE, plain_file, unreadable
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.folders import find_files
@@ -240,7 +241,7 @@ def read_statistics(
         ``bearing``, ``air_temperature``, ``pressure``, ``humidity``, ``met_wind_speed``, ``met_wind_direction`` and
         ``rain`` over (time), those that the files have. ``time`` is the start of the averaging period, UTC; ``height``
         in m as in the headings. ``attrs["time_stamp"]`` says what the file stamps, ``attrs["left_out"]`` which columns
-        were not read.
+        were not read, ``attrs["impossible_values"]`` which speeds beyond 90 m/s were taken for missing, if any.
 
     Raises
     ------
@@ -321,8 +322,13 @@ def _statistics(
     time, _ = times(column, file_format)
     heights = np.array(sorted(height), dtype=np.float64)
     variables: dict[str, Any] = {}
+    impossible: list[float] = []
     for heading, (name, unit, at) in known.items():
         values, _ = numbers(table.column(frame, name, heading), file_format)
+        if unit == "m s-1":
+            bad = is_impossible(values, VELOCITY_LIMIT)
+            impossible += np.unique(values[bad]).tolist()
+            values = np.where(bad, np.nan, values)
         if at is None:
             variables[name] = ("time", values, {"units": unit})
         else:
@@ -330,12 +336,15 @@ def _statistics(
             block[1][:, int(np.flatnonzero(heights == at)[0])] = values
     keep = ~np.isnat(time)
     return xr.Dataset(
-        variables, coords={"time": time, "height": ("height", heights, {"units": "m"})}, attrs=_attributes(left_out)
+        variables,
+        coords={"time": time, "height": ("height", heights, {"units": "m"})},
+        attrs=_attributes(left_out, impossible),
     ).isel(time=np.flatnonzero(keep))
 
 
-def _attributes(left_out: list[str]) -> dict[str, Any]:
-    return {"time_stamp": "start of the averaging period, UTC", "left_out": left_out}
+def _attributes(left_out: list[str], impossible: list[float]) -> dict[str, Any]:
+    found = {"impossible_values": sorted(set(impossible))} if impossible else {}
+    return {"time_stamp": "start of the averaging period, UTC", "left_out": left_out, **found}
 
 
 def _empty(n_time: int, n_height: int) -> FloatArray:

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.belief import of_unset_clock
 from bayes_rs.quality.filtering import Filtered
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, count_flags
@@ -41,17 +42,25 @@ def samples_report(came: SortedSamples, filtered: Filtered, n_sample: int) -> di
     }
 
 
-def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan) -> dict[str, Any]:
-    """Count records and beams by their flags; `numbers` are those of the beams."""
+def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int) -> dict[str, Any]:
+    """Count records and beams by their flags; `numbers` are those of the beams, `window` is a record's length, ns."""
     flag, start = records["flag"].values, records["time"].values
     never = (records["count"].values == 0).all(axis=0)
     empty = (flag & BEAM_FLAGS["no_samples"] > 0).all(axis=1)
-    flagged = (flag[~empty] & ~np.uint8(BEAM_FLAGS["record_excluded"])) != 0
-    rarely = (flagged.mean(axis=0) > _RARELY) & ~never
+    whole = (flag & BEAM_FLAGS["cut_off"] == 0).all(axis=1)
+    flagged = (flag[~empty & whole] & ~np.uint8(BEAM_FLAGS["record_excluded"])) != 0
+    rarely = (flagged.sum(axis=0) > _RARELY * len(flagged)) & ~never
+    unset = of_unset_clock(start)
+    far = np.flatnonzero(np.diff(start.astype("datetime64[ns]").astype(np.int64)) > window)
     looks_ahead = -scan.level_direction[:, 0].mean() > _AHEAD
     return {
         "records": len(flag),
         "records_without_samples": int(empty.sum()),
+        "long_gaps": [[f"{start[index + step].astype('datetime64[s]')}Z" for step in (0, 1)] for index in far.tolist()],
+        "records_of_unset_clock": {
+            "count": int(np.count_nonzero(unset)),
+            **({"first_time": f"{start[int(np.argmax(unset))].astype('datetime64[s]')}Z"} if unset.any() else {}),
+        },
         "beams_never_usable": numbers[never].tolist(),
         "beams_rarely_usable": numbers[rarely].tolist(),
         "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),

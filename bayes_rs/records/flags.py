@@ -17,6 +17,8 @@ BEAM_FLAGS = {
     "no_samples": 8,
     "wind_sector": 16,
     "record_excluded": 32,
+    "impossible": 64,
+    "cut_off": 128,
 }
 RECORD_FLAGS = {"yaw_not_seen": 1, "wind_not_seen": 2, "beam_flagged": 4, "no_usable_beam": 8}
 """Flags of a record that the wind and its beams decide."""

@@ -21,12 +21,16 @@ from bayes_rs.quality.groups import group_moments
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.records.beam_wind import wind_of_beams
+from bayes_rs.records.belief import impossible_in, most_variance
 from bayes_rs.records.checks import blades_in, check_records, in_wind_sectors
 from bayes_rs.records.counts import flags_report, samples_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, flag_attributes
-from bayes_rs.records.record_options import RecordOptions, check_size, record_options
+from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.record_samples import sort_samples
+from bayes_rs.records.windows import is_touched
 
+_FROM_SERIES = ("source_files", "read_report", "velocity_limit")
+"""Attributes that records have from their series."""
 _TOLD = ("status_valid", "cnr_range", "despike", "despike_window", "despike_threshold")
 """Rules that the report names beside all of them."""
 
@@ -57,15 +61,17 @@ def make_records(
         ``wind_speed`` (record), m/s; ``yaw`` (record), the wind direction relative to the lidar axis, degrees; ``tilt``
         (record), degrees, the scan's; ``record_flag`` (record). Coordinates ``time`` (record), the start in UTC, and
         ``beam``: those of the scan's beams that the series holds; the others stand in ``attrs["beams_absent"]``.
-        Every window from the first to the last sample is there, even if empty. ``flag`` is zero for a beam to be used;
-        a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON what was dropped.
-        Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio``
-        (record, beam).
+        Every window from the first to the last sample is there, even if empty, but for gaps of more than 30 days.
+        ``first_sample`` and ``last_sample`` (record) are those of any beam, s after the start. ``flag`` is zero for a
+        beam to be used; a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON
+        what was dropped. Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``,
+        ``half_ratio`` (record, beam).
 
     Raises
     ------
     InputError
-        If the series lacks a variable or holds a beam that the scan does not have, or an option is not valid.
+        If the series lacks a variable or holds a beam that the scan does not have, an option is not valid, or most of
+        the velocities are impossible.
 
     Notes
     -----
@@ -87,9 +93,13 @@ def make_records(
 
     Flags of a beam (bits): 1 ``too_few_samples``, some usable, but not enough; 2 ``constant``, all samples equal; 4
     ``all_missing``, samples but none usable; 8 ``no_samples``, a gap; 16 ``wind_sector``, blocked in wind from there;
-    32 ``record_excluded``, by its remarks. Flags of a record: 1 ``yaw_not_seen``; 2 ``wind_not_seen``, wind speed and
-    yaw are NaN; 4 ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as remarks 16 ``not_stationary``; 32
-    ``low_wind``.
+    32 ``record_excluded``, by its remarks; 64 ``impossible``, a variance that no atmosphere has; 128 ``cut_off``, too
+    few samples because the data begin or end within the record. Flags of a record: 1 ``yaw_not_seen``; 2
+    ``wind_not_seen``, wind speed and yaw are NaN; 4 ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as
+    remarks 16 ``not_stationary``; 32 ``low_wind``.
+
+    Velocities beyond ``attrs["velocity_limit"]`` of the series, 90 m/s if it has none, count as missing, as the filter
+    ``impossible``; a variance is impossible beyond the square of a third of it, 900 m² s⁻².
 
     Spikes (``QualityRules(despike="median")``) are samples further than ``despike_threshold`` robust standard
     deviations (1.4826 times the median absolute deviation over the record) from the running median of
@@ -112,23 +122,24 @@ def make_records(
     of_scan, chosen = as_scan(scan), record_options(options)
     rules = _rules(quality, series, of_scan)
     came = sort_samples(series, of_scan, rules.needed_columns())
-    number = came.time // chosen.window
-    check_size(int(number.max() - number.min()) + 1, len(came.numbers), came.time, chosen.duration)
-    samples, first = came.in_records(chosen.window)
+    samples, windows = came.in_records(chosen.window)
     filtered = apply_filters(samples, rules)
-    start = ((first + np.arange(samples.n_record)) * chosen.window).astype("datetime64[ns]")
+    impossible = impossible_in(samples, filtered)
+    start = (windows * chosen.window).astype("datetime64[ns]")
     records = _with_wind(_moments(samples, filtered, chosen.needed(of_scan)), start, samples, of_scan, rules)
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
+    records = with_cut_off(_with_span(records, samples, chosen), of_scan, chosen)
     report = {
         **samples_report(came, filtered, int(series.sizes["sample"])),
-        **flags_report(records, came.numbers, of_scan),
+        **impossible,
+        **flags_report(records, came.numbers, of_scan, chosen.window),
         "blades": blades_in(samples, filtered, rules),
         **_asked(chosen, rules, of_scan),
     }
     absent = [number for number in of_scan.beam.tolist() if number not in samples.numbers]
     return records.assign_attrs(
         {
-            **{key: series.attrs[key] for key in ("source_files", "read_report") if key in series.attrs},
+            **{key: series.attrs[key] for key in _FROM_SERIES if key in series.attrs},
             "scan_key": of_scan.key,
             "duration": chosen.duration,
             "beams_absent": json.dumps(absent),
@@ -159,6 +170,7 @@ def _moments(samples: BeamSamples, filtered: Filtered, needed: float) -> dict[st
     flag = (
         BEAM_FLAGS["too_few_samples"] * ((count > 0) & (count < needed - 1e-9))
         + BEAM_FLAGS["constant"] * constant
+        + BEAM_FLAGS["impossible"] * (variance > most_variance(samples.velocity_limit))
         + BEAM_FLAGS["all_missing"] * ((given > 0) & (count == 0))
         + BEAM_FLAGS["no_samples"] * (given == 0)
     ).astype(np.uint8)
@@ -207,6 +219,46 @@ def _with_remarks(
         records["record_flag"].values[rows] |= REMARK_FLAGS[name]
         if name in rules.exclude:
             records["flag"].values[rows] |= BEAM_FLAGS["record_excluded"]
+    return records
+
+
+def _with_span(records: xr.Dataset, samples: BeamSamples, chosen: RecordOptions) -> xr.Dataset:
+    """Return the records with the times of their first and last sample."""
+    n_record = samples.n_record
+    since = (samples.time % chosen.window) / 1e9
+    record = samples.group % n_record
+    begin, end = np.full(n_record, np.inf), np.full(n_record, -np.inf)
+    edges = np.flatnonzero(np.diff(samples.group, prepend=-1))  # each beam's samples are in time's order
+    np.minimum.at(begin, record[edges], since[edges])
+    lasts = np.append(edges[1:], len(since)) - 1
+    np.maximum.at(end, record[lasts], since[lasts])
+    there = np.isfinite(begin)
+    return records.assign(
+        {
+            name: ("record", np.where(there, values, np.nan), {"units": "s", "long_name": words})
+            for name, values, words in (
+                ("first_sample", begin, "first sample of any beam, after the start of the record"),
+                ("last_sample", end, "last sample of any beam, after the start of the record"),
+            )
+        }
+    )
+
+
+def with_cut_off(records: xr.Dataset, scan: Scan, chosen: RecordOptions) -> xr.Dataset:
+    """Flag, in place, the beams with too few samples of records that the data only touch, and no others."""
+    flag = records["flag"].values
+    flag &= ~np.uint8(BEAM_FLAGS["cut_off"])
+    expected = chosen.expected(scan)
+    touched = is_touched(
+        records["time"].values,
+        records["first_sample"].values,
+        records["last_sample"].values,
+        duration=chosen.duration,
+        cycle=chosen.duration / expected,
+        share=chosen.needed(scan) / expected,
+    )
+    few = BEAM_FLAGS["too_few_samples"] | BEAM_FLAGS["all_missing"] | BEAM_FLAGS["no_samples"]
+    flag[touched[:, np.newaxis] & ((flag & few) != 0)] |= BEAM_FLAGS["cut_off"]
     return records
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.belief import add_told
 
 
 def add_report(total: Mapping[str, Any], report: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
@@ -34,9 +35,19 @@ def add_report(total: Mapping[str, Any], report: Mapping[str, Any], names: Mappi
         key = names.get(entry["name"], entry["name"])
         known = files.get(key, {})
         added = {name: known.get(name, 0) + entry[name] for name in counted if name in entry}
-        files[key] = {**entry, **added}
+        files[key] = {**known, **entry, **added, **_facts(known, entry)}
     beams = sorted({*total.get("beams", ()), *report["beams_present"]})
     return {"counts": counts, "beams": beams, "files": files, "out_of_order": report["out_of_order"]}
+
+
+def _facts(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Put together what two pieces of a file say of what is not believed in it."""
+    facts: dict[str, Any] = {}
+    if "impossible_values" in known or "impossible_values" in entry:
+        facts["impossible_values"] = add_told(known.get("impossible_values", {}), entry.get("impossible_values", {}))
+    if "first_unset_clock" in known:
+        facts["first_unset_clock"] = known["first_unset_clock"]
+    return facts
 
 
 def whole_report(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
 
 
 def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None:
@@ -28,12 +30,12 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
     Returns
     -------
     records : Dataset or None
-        As they were written.
+        As they were written, but for what no atmosphere has (`bayes_rs.records.belief.believed`).
 
     Raises
     ------
     InputError
-        If the records were made with another scan.
+        If the records were made with another scan, or most of them hold what no atmosphere has.
     """
     file = Path(path)
     if file.suffix not in (".nc", ".nc4") or not file.is_file():
@@ -52,7 +54,7 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
             f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
             f"{scan.name!r}: name that scan, with the same options, or make the records anew with this one."
         )
-    return dataset
+    return believed(dataset)
 
 
 def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> xr.Dataset | None:
@@ -105,6 +107,10 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
     )
     joined = joined.drop_encoding()  # the first file's unit of time need not suit the others
     joined.attrs.pop("records_report", None)  # it is that of the first file
+    joined.attrs.pop(NOT_BELIEVED, None)
+    told = [json.loads(records.attrs[NOT_BELIEVED]) for records in found if NOT_BELIEVED in records.attrs]
+    if told:
+        joined.attrs[NOT_BELIEVED] = json.dumps(add_not_believed(told))
     if "time" in joined.coords and joined.indexes.get("time") is None:
         again = joined["time"].to_series().duplicated().to_numpy()
         if again.any():

@@ -7,18 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bayes_rs._validation import check_count, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.options import described, from_plain, option
 
 if TYPE_CHECKING:
     from bayes_rs.geometry.scan import Scan
-    from bayes_rs.quality.samples import IntArray
 
 _DAY = 86_400_000_000_000  # ns
-_MOST_ENTRIES = 100_000_000
 
 
 @described
@@ -120,13 +116,3 @@ def record_options(options: Mapping[str, Any]) -> RecordOptions:
             "The option motion is not used where records are made: give it and the records to bayes_rs.wind.add_motion."
         )
     return chosen
-
-
-def check_size(n_record: int, n_beam: int, time: IntArray, duration: float) -> None:
-    """Refuse more records than memory holds, as wrong times make them."""
-    if n_record * n_beam > _MOST_ENTRIES:
-        first, last = (str(np.datetime64(int(end) // 10**9, "s")) for end in (time.min(), time.max()))
-        raise InputError(
-            f"The series from {first} to {last} holds {n_record} records of {duration:g} s: more than {_MOST_ENTRIES} "
-            "entries with all beams; check its first and last times, or give a longer duration."
-        )

@@ -11,9 +11,11 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.records.given import check_is_series
+from bayes_rs.records.windows import record_windows
 
 OPTIONAL_COLUMNS = ("cnr", "status")
 """Variables that are taken along if the series has them."""
@@ -35,6 +37,8 @@ class SortedSamples:
         The scan's numbers of the beams that the series holds, in the scan's order.
     out_of_order, duplicates : int
         Samples that came earlier than one of their beam before them, and those that were left out as repeated.
+    velocity_limit : float
+        Speed that no wind has, m/s.
     """
 
     time: IntArray
@@ -44,14 +48,20 @@ class SortedSamples:
     numbers: IntArray
     out_of_order: int
     duplicates: int
+    velocity_limit: float = VELOCITY_LIMIT
 
-    def in_records(self, window: int) -> tuple[BeamSamples, int]:
-        """Return the samples with their records of `window` nanoseconds, and the number of the first since 1970."""
+    def in_records(self, window: int) -> tuple[BeamSamples, IntArray]:
+        """Return the samples with their records of `window` nanoseconds, and the records' numbers since 1970."""
         number = self.time // window
-        first, last = int(number.min()), int(number.max())
-        n_record = last - first + 1
-        group = self.beam * n_record + number - first
-        return BeamSamples(self.time, self.beam, group, self.velocity, self.columns, self.numbers, n_record), first
+        windows = record_windows(number, window, len(self.numbers))
+        n_record = len(windows)
+        contiguous = n_record == int(windows[-1] - windows[0]) + 1
+        place = number - windows[0] if contiguous else np.searchsorted(windows, number)
+        group = self.beam * n_record + place
+        samples = BeamSamples(
+            self.time, self.beam, group, self.velocity, self.columns, self.numbers, n_record, self.velocity_limit
+        )
+        return samples, windows
 
 
 def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> SortedSamples:
@@ -108,6 +118,7 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
         numbers=numbers,
         out_of_order=int((time < latest).sum()),
         duplicates=int(repeated.sum()),
+        velocity_limit=float(series.attrs.get("velocity_limit", VELOCITY_LIMIT)),
     )
 
 

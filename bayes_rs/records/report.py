@@ -8,12 +8,22 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_rs.records.belief import doubt_lines
+from bayes_rs.records.windows import LONGEST_GAP_DAYS
+
 _MOST_FILES = 20
 """Files up to which each has a line of its own; beyond, those that were read alike share one."""
 _OPTIONS_TOLD = ("format", "positive", "velocity_unit", "time_zone", "time_stamp", "options_of_format", "columns")
 _BY_HEADINGS = "zx"
 """The format whose columns are found by headings that nobody publishes: the report names them."""
-_ROWS_TOLD = ("rows", "rows_invalid_value", "rows_dropped", "samples_out_of_order")
+_ROWS_TOLD = (
+    "rows",
+    "rows_invalid_value",
+    "velocities_impossible",
+    "rows_unset_clock",
+    "rows_dropped",
+    "samples_out_of_order",
+)
 _SURE = 1e-3
 """p-value below which dropped samples are reported as periodic."""
 
@@ -41,7 +51,7 @@ def describe_report(dataset: xr.Dataset) -> list[str]:
         lines += _describe_reading(json.loads(dataset.attrs["read_report"]))
     if "records_report" in dataset.attrs:
         lines += _describe_records(json.loads(dataset.attrs["records_report"]))
-    return lines
+    return [*lines, *doubt_lines(dataset)]
 
 
 def _describe_reading(report: Mapping[str, Any]) -> list[str]:
@@ -58,10 +68,12 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             line += f" (by the format: {', '.join(file['options_of_format'])})"
         for key, words in (
             ("rows_invalid_value", "with an invalid value"),
+            ("velocities_impossible", "velocities that no wind has"),
+            ("rows_unset_clock", "of a clock that was not set, set aside"),
             ("rows_dropped", "dropped without a time or a beam"),
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
-            line += f"; {file[key]} {words}" if file[key] else ""
+            line += f"; {file[key]} {words}" if file.get(key) else ""
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
@@ -112,6 +124,11 @@ def _describe_records(report: Mapping[str, Any]) -> list[str]:
             )
     if report["records_without_samples"]:
         lines.append(f"gaps: {report['records_without_samples']} records hold no sample of any beam")
+    for last, first in report.get("long_gaps", []):
+        lines.append(
+            f"gap: no records between those of {last} and {first}, because no sample came for more than "
+            f"{LONGEST_GAP_DAYS} days"
+        )
     if report["beams_never_usable"]:
         lines.append(f"beams without a usable sample in any record: {_listed(report['beams_never_usable'])}")
     if report.get("beams_rarely_usable"):

@@ -15,13 +15,15 @@ from bayes_rs._validation import FloatArray, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.quality.belief import add_told
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.counts import flags_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS
-from bayes_rs.records.making import make_records
-from bayes_rs.records.record_options import check_size, record_options
+from bayes_rs.records.making import make_records, with_cut_off
+from bayes_rs.records.record_options import record_options
+from bayes_rs.records.windows import record_windows
 
 _OF_CHUNK = ("source_files", "read_report")
 """Attributes of a series that tell of its chunk only."""
@@ -236,14 +238,13 @@ def join_blocks(
     chosen = record_options(options)
     window = chosen.window
     number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
-    first = min(int(of[0]) for of in number)
-    n_record = max(int(of[-1]) for of in number) - first + 1
     present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
     beams = scan.beam[np.isin(scan.beam, present)]
-    check_size(n_record, len(beams), np.array([first, first + n_record - 1]) * window, chosen.duration)
+    windows = record_windows(np.concatenate(number), window, len(beams))
+    n_record = len(windows)
     empty = _empty_record(blocks[0], scan, state, quality, options)
-    start = ((first + np.arange(n_record)) * window).astype("datetime64[ns]")
-    rows = [of - first for of in number]
+    start = (windows * window).astype("datetime64[ns]")
+    rows = [np.searchsorted(windows, of) for of in number]
     column = [np.searchsorted(beams, block["beam"].values, sorter=np.argsort(beams)) for block in blocks]
     column = [np.argsort(beams)[of] for of in column]
     variables: dict[str, Any] = {}
@@ -265,13 +266,16 @@ def join_blocks(
     records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
     own = records["record_flag"].values & ~np.uint8(_OF_WIND)
     records["record_flag"].values[:] = own | of_wind
-    report = _report(blocks, records, state, scan)
+    records = with_cut_off(records, scan, chosen)
+    report = _report(blocks, records, state, scan, window)
     absent = [number for number in scan.beam.tolist() if number not in beams]
     files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
     return records.assign_attrs({**files, "beams_absent": json.dumps(absent), "records_report": json.dumps(report)})
 
 
-def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState, scan: Scan) -> dict[str, Any]:
+def _report(
+    blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState, scan: Scan, window: int
+) -> dict[str, Any]:
     """Add up the reports of the blocks; what depends on the whole is counted again."""
     reports = [json.loads(block.attrs["records_report"]) for block in blocks]
     beams = records["beam"].values
@@ -281,12 +285,27 @@ def _report(blocks: list[xr.Dataset], records: xr.Dataset, state: StreamState, s
         **{name: sum(report[name] for report in reports) for name in _SUMMED},
         "samples": state.samples,
         "samples_out_of_order": state.out_of_order,
-        "dropped": {name: sum(report["dropped"][name] for report in reports) for name in reports[0]["dropped"]},
+        "dropped": {
+            name: sum(report["dropped"].get(name, 0) for report in reports)
+            for name in dict.fromkeys(name for report in reports for name in report["dropped"])
+        },
         "by_beam": _by_beam([report["by_beam"] for report in reports], beams.tolist()),
-        **flags_report(records, beams, scan),
+        **_impossible(reports),
+        **flags_report(records, beams, scan, window),
         "blades": [],
         **more,
     }
+
+
+def _impossible(reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """Add up which impossible velocities the blocks dropped."""
+    some = [report for report in reports if "impossible_values" in report]
+    if not some:
+        return {}
+    values: dict[str, int] = {}
+    for report in some:
+        values = add_told(values, report["impossible_values"])
+    return {"impossible_values": values, "velocity_limit": some[0]["velocity_limit"]}
 
 
 def _by_beam(tables: list[dict[str, list[int]]], beams: list[int]) -> dict[str, list[int]]:

@@ -12,7 +12,7 @@ from bayes_rs.fits.flags import MISFIT_LIMIT
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
-from bayes_rs.report.packing import pack, pack_rows, pack_steps, plain
+from bayes_rs.report.packing import pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, time_axis
 
@@ -74,7 +74,7 @@ def records_data(found: ReportData) -> dict[str, Any]:
     data: dict[str, Any] = {
         "record": pack_steps(found.record[rows]),
         "position": pack_steps(position[rows]),
-        "flag": pack(found.flag[rows], "u2"),
+        "flag": pack_few(found.flag[rows]),
         "speed": pack(found.wind_speed[rows], "f4"),
         "numbers": pack_rows(numbers),
         "correlation": _hundredths(correlation),

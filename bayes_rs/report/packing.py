@@ -19,6 +19,12 @@ def pack(values: NDArray[Any], kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()).decode("ascii")
 
 
+def pack_few(values: NDArray[np.int64]) -> dict[str, Any]:
+    """Return whole numbers of which few differ: those that there are, and in base64 the place of each among them."""
+    different, place = np.unique(values, return_inverse=True)
+    return {"values": different.tolist(), "place": pack(place.ravel(), "u2")}
+
+
 def pack_steps(values: NDArray[Any]) -> dict[str, Any]:
     """Return numbers that go up by the same step as the first, the step and how many; others in base64, as ``"f8"``."""
     steps = np.diff(values)

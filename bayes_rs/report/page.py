@@ -149,12 +149,18 @@ def _key_numbers(found: ReportData, scan: str) -> str:
     remarked = int(np.count_nonzero(found.flag)) - failed
     outside = int(np.count_nonzero(found.flag & FLAGS["outside_noise"]))
     without = int(np.count_nonzero(found.flag & FLAGS["no_usable_beam"]))  # gaps are most of them in a long fit
+    doubts = len(found.run.get("doubts", []))
     entries = [
         ("Records", f"{len(found.record)}"),
         ("Fitted", f"{fitted}"),
         ("Failed", f"{failed} ({without} without a usable beam)" if without else f"{failed}"),
         ("Other flags", f"{remarked}"),
         *([("Outside the noise's reach", f"{outside}")] if outside else []),
+        *(
+            [("Not believed", f"{len(doubts)}, in the report of reading")]
+            if (doubts := found.run.get("doubts"))
+            else []
+        ),
         ("Scan", scan),
     ]
     if found.target:

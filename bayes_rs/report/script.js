@@ -131,7 +131,7 @@
   const records = {
     number: stepsOf(packed.record),
     position: stepsOf(packed.position),
-    flag: new Uint16Array(bytes(packed.flag)),
+    flag: Array.from(new Uint16Array(bytes(packed.flag.place)), (place) => packed.flag.values[place]),
     speed: new Float32Array(bytes(packed.speed)),
     numbers: rowsOf(packed.numbers),
     correlation: new Int8Array(bytes(packed.correlation)),

@@ -13,6 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.records.belief import believed
 from bayes_rs.records.flags import RECORD_FLAGS
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
@@ -97,6 +98,7 @@ def mean_wind(
     scan = as_scan(scan)
     turbulence = None if turbulence is None else as_turbulence(turbulence)
     scan = check_records(records, scan)
+    records = believed(records)
     weight = None if weights is None else _checked_weights(weights, scan.n_beam)
     direction = record_direction(records, scan)
     mean = np.asarray(records["mean"].values, dtype=np.float64)

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.file_options import FileOptions
+from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.geometry.attitude import level_direction, roll_matrix
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.quality.belief import MOST_ANGLE, in_words, is_impossible
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.table import open_table
+from bayes_rs.readers.table import Column, open_table
 from bayes_rs.records.making import make_records
 from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.wind.mean_vector import mean_wind
@@ -76,7 +77,8 @@ def read_motion(
     Raises
     ------
     InputError
-        If a file or column cannot be read, or a name is not one of those above.
+        If a file or column cannot be read, a name is not one of those above, or an angle is beyond 720 degrees or a
+        velocity beyond 90 m/s.
 
     Notes
     -----
@@ -124,7 +126,10 @@ def read_motion(
         parts["time"].append(time[keep])
         for name in columns:
             if name != "time":
-                parts[name].append(numbers(table.column(frame, name, columns[name]), file_format)[0][keep])
+                column = table.column(frame, name, columns[name])
+                values = numbers(column, file_format)[0]
+                _check_possible(column, values)
+                parts[name].append(values[keep])
     whole = {name: np.concatenate(values) for name, values in parts.items()}
     order = np.argsort(whole["time"], kind="stable")
     time = whole.pop("time")[order]
@@ -133,6 +138,20 @@ def read_motion(
         {name: ("time", values[order][last], {"units": _UNITS[name]}) for name, values in whole.items()},
         coords={"time": time[last].astype("datetime64[ns]")},
     )
+
+
+def _check_possible(column: Column, values: FloatArray) -> None:
+    """Refuse angles and velocities that no lidar has."""
+    limit, unit = (MOST_ANGLE, "degrees") if column.name in ANGLES else (VELOCITY_LIMIT, "m/s")
+    bad = is_impossible(values, limit)
+    if bad.any():
+        index = int(np.argmax(bad))
+        shown = in_words(float(values[index]))
+        raise InputError(
+            f"Invalid {column.name} {shown} in {column.where(index)}, one of {np.count_nonzero(bad)}: it must be "
+            f"within {limit:g} {unit}; if the number marks a missing entry, say so with invalid={shown} (--invalid "
+            f"{shown})."
+        )
 
 
 def add_motion(

@@ -16,6 +16,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.records.belief import believed
 from bayes_rs.records.least_squares import RANK_TOLERANCE, horizontal_wind
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
@@ -143,6 +144,7 @@ def wind_profile(
     reference = hub if reference_height is None else check_positive(reference_height, what="reference_height", unit="m")
     own = check_non_negative(beam_sd, what="beam_sd", unit="m/s")
     scan = check_records(records, scan)
+    records = believed(records)
     mean = np.asarray(records["mean"].values, dtype=np.float64)
     direction = np.broadcast_to(record_direction(records, scan), (*mean.shape, 3))
     height = hub + scan.focus_distance * direction[..., 2]
