@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,10 @@ EXCHANGE = 6.6
 """So much, and twice the logarithm of the number of pairs, must χ² fall if two beams are exchanged to be an alarm."""
 _LIKE_RECORDS = 20
 """What the theory's scatter weighs against that of the records, in records."""
-_MAD = 1.4826
+_HALF_WIDTH = 1.349
+"""Width of the shortest half of a standard normal."""
+_MOST_EXCESS = 2.5
+"""No more is put down to the air than this: beyond, the beams are at fault."""
 _OF_MEDIAN = 0.5 * np.pi
 """Variance of a median over that of a mean, for normal data."""
 _MOST_SCATTER = 400
@@ -158,9 +162,7 @@ class BeamCheck:
         return EXCHANGE + 2.0 * float(np.log(max(0.5 * n_beam * (n_beam - 1.0), 1.0)))
 
 
-def check_beams(
-    blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns, n_record: int
-) -> BeamCheck:
+def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns, n_record: int) -> BeamCheck:
     """Look at the beams of records: at each record by itself, and at all together.
 
     Parameters
@@ -183,21 +185,21 @@ def check_beams(
     every, first = max(1, n_record // _MOST_SCATTER), 0
     independent: dict[str, float] = {}
     for pair in blocks:
-        total = 0.0
+        total: FloatArray = np.zeros(())
         for name, block in zip(tallies, pair, strict=True):
             if block is None:
                 continue
             covariance = block.expected.covariance()
             scores = score_patterns(block.expected.residual, covariance, block.used, patterns, block.datum)
-            whole = block.used.all(axis=1)
+            whole = np.asarray(block.used.all(axis=1))
             if name not in independent and whole.any():
                 independent[name] = independent_patterns(covariance[int(whole.argmax())], patterns)
             tallies[name].append(_seen(block, scores, whole))
-            total = total + np.where(np.isfinite(scores.swap), scores.swap, 0.0)
-        swaps.append(_best_swap(np.asarray(total)))
+            total = np.asarray(total + np.where(np.isfinite(scores.swap), scores.swap, 0.0))
+        swaps.append(_best_swap(total))
         own = np.arange(-first % every, len(swaps[-1]), every)
         found = pair[0].expected
-        some.append((found.noise[own], found.slope[own], found.residual[own], pair[0].used[own], own + first))
+        some.append((found.noise[own], found.slope[own], found.left[own], pair[0].used[own], own + first))
         first += len(swaps[-1])
     kinds = {
         name: _evidence(seen, independent.get(name, float(len(patterns))), patterns, means=name == "mean")
@@ -210,14 +212,13 @@ def check_beams(
     variances = kinds["variance"]
     score = np.abs(variances.beam_score) / np.sqrt(variances.excess)
     largest = np.max(np.where(np.isfinite(score), score, 0.0), axis=1)
-    middle = _middle(tallies["variance"])[1]
     return BeamCheck(
         probability,
         np.where(variances.count > 1, largest, np.nan),
         kinds,
         exchange,
         _swap_together(list(kinds.values())),
-        _scatter(some, middle, ~(probability < LEVEL)),
+        _scatter(some, np.concatenate([one.left for one in tallies["variance"]]), ~(probability < LEVEL)),
         patterns,
     )
 
@@ -226,9 +227,10 @@ def check_beams(
 class _Seen:
     """What is kept of the records of a block."""
 
-    scores: tuple[FloatArray, ...]
+    scores: tuple[NDArray[Any], ...]
     beam_score: FloatArray
     residual: FloatArray
+    left: FloatArray
     datum: FloatArray
     slope: FloatArray
     noise: FloatArray
@@ -242,6 +244,7 @@ def _seen(block: Block, scores: Scores, whole: NDArray[np.bool_]) -> _Seen:
         (scores.square, scores.count, best, scores.score[rows, best], scores.shift[rows, best]),
         np.where(used, scores.score[:, : used.shape[1]], np.nan),
         np.where(used, block.expected.residual, np.nan),
+        np.where(used, block.expected.left, np.nan),
         np.where(used, block.datum, np.nan),
         block.expected.slope[whole].sum(axis=0),
         block.expected.noise[whole].sum(axis=0),
@@ -258,7 +261,9 @@ def _best_swap(total: FloatArray) -> FloatArray:
 
 def _evidence(seen: Sequence[_Seen], independent: float, patterns: Patterns, *, means: bool) -> Evidence:
     """Put the blocks of one kind together, and look at all records."""
-    square, count, pattern, score, shift = (np.concatenate(parts) for parts in zip(*(s.scores for s in seen), strict=True))
+    square, count, pattern, score, shift = (
+        np.concatenate(parts) for parts in zip(*(s.scores for s in seen), strict=True)
+    )
     beam_score = np.concatenate([one.beam_score for one in seen])
     excess = _excess(beam_score)
     together, tilt = _together(seen, patterns, excess, means=means)
@@ -266,15 +271,27 @@ def _evidence(seen: Sequence[_Seen], independent: float, patterns: Patterns, *, 
 
 
 def _excess(beam_score: FloatArray) -> float:
-    """Return how much larger the variance of the beams' scores over the records is than 1; never below 1."""
+    """Return how much larger the variance of the beams' scores over the records is than 1; never below 1.
+
+    The width is that of the shortest half of a beam's scores, which the other half, of faults, does not change.
+    """
     known = np.isfinite(beam_score)
     enough = known.sum(axis=0) >= FEWEST
     if not enough.any():
         return 1.0
-    some = beam_score[:, enough]
-    spread = _MAD * np.nanmedian(np.abs(some - np.nanmedian(some, axis=0)), axis=0)
-    own, n = float(np.median(spread**2)), float(np.median(known[:, enough].sum(axis=0)))
-    return max(1.0, (_LIKE_RECORDS + n * own) / (_LIKE_RECORDS + n))
+    spread = [
+        _shortest_half(score[own]) / _HALF_WIDTH
+        for score, own in zip(beam_score.T[enough], known.T[enough], strict=True)
+    ]
+    own, n = float(np.median(np.square(spread))), float(np.median(known[:, enough].sum(axis=0)))
+    return float(np.clip((_LIKE_RECORDS + n * own) / (_LIKE_RECORDS + n), 1.0, _MOST_EXCESS))
+
+
+def _shortest_half(values: FloatArray) -> float:
+    """Return the width of the shortest interval that holds half of the values."""
+    ordered = np.sort(values)
+    half = len(ordered) // 2
+    return float(np.min(ordered[half:] - ordered[: len(ordered) - half]))
 
 
 def _middle(seen: Sequence[_Seen]) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, NDArray[np.int64]]:
@@ -294,9 +311,9 @@ def _together(
     """Score the medians of the residuals over the records."""
     used, middle, level, known = _middle(seen)
     n_whole = sum(one.n_whole for one in seen)
-    if n_whole < FEWEST or used.sum() < 2:  # noqa: PLR2004 - one beam agrees with itself
+    if n_whole < FEWEST or used.sum() < 2:
         return None, None
-    slope, noise = sum(one.slope for one in seen) / n_whole, sum(one.noise for one in seen) / n_whole
+    slope, noise = (np.sum([getattr(one, name) for one in seen], axis=0) / n_whole for name in ("slope", "noise"))
     flow, floor = slope @ slope.T, (MEAN_FLOOR if means else FLOOR) ** 2 * np.eye(len(used))
     covariance = _OF_MEDIAN / known[used].min() * (excess * noise + flow) + floor + flow
     found = score_patterns(middle[None], covariance[None], used[None], patterns, level[None])
@@ -326,10 +343,15 @@ def _probability(found: Sequence[Evidence]) -> FloatArray:
 
 def _scatter(
     some: Sequence[tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.int64]]],
-    middle: FloatArray,
+    left: FloatArray,
     sound: NDArray[np.bool_],
 ) -> tuple[float, float, float] | None:
     """Return by which factor data scatter more than noise where flow cannot move them, with its 90 % interval."""
+    if sound.sum() < FEWEST:
+        return None
+    known = np.isfinite(left[sound]).sum(axis=0) >= FEWEST
+    middle = np.zeros(left.shape[1])
+    middle[known] = np.nanmedian(left[sound][:, known], axis=0)
     found = [
         _of_noise(noise, slope, residual - np.where(used, middle, 0.0), used)
         for part in some

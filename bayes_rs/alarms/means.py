@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.alarms.variances import Expected
 
-MEAN_FLOOR = 0.01
+COHERENCE = 1.5
+"""Factor on the covariance of the means that turbulence makes: other air is less coherent than Mann's."""
+MEAN_FLOOR = 0.012
 """Standard deviation of each beam's mean, over the wind speed, that no model has: pointing, terrain."""
 TILT_SD = np.deg2rad(3.0)
 """Standard deviation of an error of the lidar's tilt, rad."""
@@ -79,8 +81,11 @@ def expected_means(
     slope = np.where(used[:, :, None], columns * sd, 0.0)
     both = used[:, :, None] & used[:, None, :]
     own = np.eye(used.shape[1]) * np.where(used, MEAN_FLOOR**2, 1.0)[:, None, :]
-    covariance = np.where(both, noise / wind_speed[:, None, None] ** 2, 0.0) + own
-    return Expected(np.where(used, relative, 0.0), slope, covariance)
+    covariance = np.where(both, COHERENCE * noise / wind_speed[:, None, None] ** 2, 0.0) + own
+    residual = np.where(used, relative, 0.0)
+    gain = slope.swapaxes(-1, -2) @ np.linalg.inv(covariance + slope @ slope.swapaxes(-1, -2))
+    left = residual - np.einsum("rbi,ria,ra->rb", slope, gain, residual)
+    return Expected(residual, slope, covariance, left)
 
 
 def wind_columns(direction: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:

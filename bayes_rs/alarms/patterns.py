@@ -1,4 +1,4 @@
-"""Which beams may be wrong together, and how strongly data ask for it: scores of patterns, and their null distribution."""
+"""Which beams may be wrong together, and how strongly data ask for it."""
 
 from __future__ import annotations
 

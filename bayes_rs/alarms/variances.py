@@ -11,11 +11,11 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.priors.ratio import RatioPrior
 
 ANY_AIR = RatioPrior(
-    sd_uu=4.0, vv=0.64, sd_vv=0.6, ww=0.35, sd_ww=0.85, uv=0.0, sd_uv=0.45, uw=-0.25, sd_uw=0.45, vw=0.0, sd_vw=0.45
+    sd_uu=4.0, vv=0.64, sd_vv=0.5, ww=0.35, sd_ww=0.7, uv=0.0, sd_uv=0.25, uw=-0.25, sd_uw=0.35, vw=0.0, sd_vw=0.25
 )
-"""Every air that there is, with room: wider than the prior `weak`, so that no flow is taken for a fault."""
+"""Air of every kind lies within three of these standard deviations, and an alarm is beyond: a flow is no fault."""
 GRADIENT_SD = 0.3
-"""Standard deviation of the change of ln R over 100 m, up and across: what differs from beam to beam without a fault."""
+"""Standard deviation of the change of ln R over 100 m, up and across, which is no fault."""
 FLOOR = 0.03
 """Standard deviation of ln y of each beam that no model of the noise has: pointing, small-scale flow."""
 
@@ -38,11 +38,14 @@ class Expected:
         What flow can do to the data, per standard deviation of it.
     noise : ndarray, shape (n_record, n_beam, n_beam)
         Covariance of the data for known flow.
+    left : ndarray, shape (n_record, n_beam)
+        What the best flow leaves of the data.
     """
 
     residual: FloatArray
     slope: FloatArray
     noise: FloatArray
+    left: FloatArray
 
     def covariance(self, excess: float = 1.0) -> FloatArray:
         """Return the covariance of the residuals, noise times `excess`."""
@@ -98,6 +101,7 @@ def expected_variances(
     problem = _Problem(datum, used, gain, np.broadcast_to(offset, variance.shape), place * (GRADIENT_SD / 100.0))
     theta = problem.best(noise)
     residual, slope = problem.linear(theta)
+    left = problem.left(theta)
     precision = np.linalg.inv(noise + slope @ slope.swapaxes(-1, -2))
     far = np.abs(np.einsum("rab,rb->ra", precision, residual)) > _FAR * np.sqrt(np.einsum("raa->ra", precision))
     far &= used
@@ -105,8 +109,10 @@ def expected_variances(
     if len(again):
         some = problem.take(again)
         loose = noise[again] + np.eye(used.shape[1]) * np.where(far[again], _LOOSE, 0.0)[:, None, :]
-        residual[again], slope[again] = some.linear(some.best(loose))
-    return Expected(residual, slope, noise)
+        theta = some.best(loose)
+        residual[again], slope[again] = some.linear(theta)
+        left[again] = some.left(theta)
+    return Expected(residual, slope, noise, left)
 
 
 @dataclass(frozen=True)
@@ -144,6 +150,10 @@ class _Problem:
         signal = ANY_AIR.stress(theta[..., :n]) @ self.gain.swapaxes(-1, -2)
         signal = np.maximum(signal, 1e-12) * np.exp(theta[..., n:] @ self.place.T)
         return np.asarray(np.where(self.used[:, None, :], np.log(signal + self.offset[:, None, :]), 0.0))
+
+    def left(self, theta: FloatArray) -> FloatArray:
+        """Return y − f(θ), shape (n_record, n_beam)."""
+        return np.where(self.used, self.datum - self.model(theta[:, None])[:, 0], 0.0)
 
     def linear(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return y − f(θ) + J θ, shape (n_record, n_beam), and J."""

@@ -14,9 +14,12 @@ DEAD = 0.1
 """A beam with less than this of the variance that the others explain looks dead."""
 _SHARP_TILT = 3.0
 _LEAST_TILT = 1.0
-_NEAR_ONE = 0.15
-"""A scatter that is nearer to 1 than this, or whose interval holds 1, is not worth a line."""
+_NEAR_ONE = 0.3
+"""A scatter whose logarithm is nearer to 0 than this, or whose interval holds 1, is not worth a line."""
 _HALF = 0.5
+_MANY, _BY_CHANCE = 50, 0.02
+"""Of so many records, this share may be flagged by chance, which is worth no line."""
+_NEARLY_ALL = 0.9
 
 
 def beam_words(beams: Sequence[int], sector: tuple[float, float]) -> str:
@@ -32,7 +35,7 @@ def beam_words(beams: Sequence[int], sector: tuple[float, float]) -> str:
     if len(beams) == 1:
         return f"beam {beams[0]}"
     steps = np.diff(beams)
-    runs = f"{beams[0]} to {beams[-1]}" if len(beams) > 2 and np.all(steps == 1) else _listed(beams)  # noqa: PLR2004
+    runs = f"{beams[0]} to {beams[-1]}" if len(beams) > 2 and np.all(steps == 1) else _listed(beams)
     return f"beams {runs} (sector {sector[0]:.0f}° to {sector[1]:.0f}°)"
 
 
@@ -50,7 +53,7 @@ def shift_words(kind: str, beams: Sequence[int], sector: tuple[float, float], sh
         return f"{name} looks dead: {100.0 * factor:.2g} % of the variance that the others explain"
     if factor < 1.0:
         return f"{name} {verb} {100.0 * (1.0 - factor):.0f} % less variance than the others explain"
-    if factor < 2.0:  # noqa: PLR2004
+    if factor < 2.0:
         return f"{name} {verb} {100.0 * (factor - 1.0):.0f} % more variance than the others explain"
     return f"{name} {verb} {factor:.2g} times the variance that the others explain"
 
@@ -83,19 +86,19 @@ class CheckWords:
         first, second, fall = check.exchange[index]
         if check.exchanged[index] and fall > _HALF * best**2 and fall > best**2 - check.exchange_limit:
             return self._exchange(int(first), int(second))
-        kind, found = self._worst(index)
+        kind, found = self.worst(index)
         if found.p_pattern[index] * len(check.kinds) * 2.0 > check.level:
             return "the beams disagree in no simple pattern"
         return shift_words(kind, *self._members(int(found.pattern[index])), float(found.shift[index]))
 
-    def _worst(self, index: int) -> tuple[str, Evidence]:
+    def worst(self, index: int) -> tuple[str, Evidence]:
         """Return the kind of data with the larger score; variances where both are far off: they say more."""
         kinds = self.check.kinds
         kind = max(kinds, key=lambda name: abs(kinds[name].score[index]) / np.sqrt(kinds[name].excess))
         variance = kinds["variance"]
-        if kind == "mean" and variance.pattern[index] == kinds["mean"].pattern[index]:
-            if variance.p_pattern[index] < self.check.level / 4.0:
-                kind = "variance"
+        same = "mean" in kinds and variance.pattern[index] == kinds["mean"].pattern[index]
+        if same and variance.p_pattern[index] < self.check.level / 4.0:
+            kind = "variance"
         return kind, kinds[kind]
 
     def _exchange(self, first: int, second: int) -> str:
@@ -109,35 +112,46 @@ class CheckWords:
 
     def of_all(self) -> list[str]:
         """Say what all records together show, in lines; none where nothing is wrong."""
-        check = self.check
-        lines = [self._level(kind, found) for kind, found in check.kinds.items()]
-        first, second, fall = check.exchange_together
-        single = max((float(np.max(found.together.score**2)) for found in check.kinds.values() if found.together), default=0.0)
-        if fall > check.exchange_limit and fall > max(_HALF * single, single - check.exchange_limit):
-            lines = [f"all records together: {self._exchange(first, second)}"]
-        return [*(line for line in lines if line), *self._most_often(), *self._tilt(), *self._scatter()]
+        often, key, share = self._most_often()
+        lines = self._exchange_of_all() or [
+            self._level(kind, found, key if share < _NEARLY_ALL else "") for kind, found in self.check.kinds.items()
+        ]
+        return [*(line for line in lines if line), *often, *self._tilt(), *self._scatter()]
 
-    def _level(self, kind: str, found: Evidence) -> str:
+    def _exchange_of_all(self) -> list[str]:
+        """Name two beams that all records together want exchanged."""
+        check = self.check
+        first, second, fall = check.exchange_together
+        together = [found.together.score for found in check.kinds.values() if found.together is not None]
+        best = max((float(np.max(score**2)) for score in together), default=0.0)
+        if fall <= check.exchange_limit or fall <= max(_HALF * best, best - check.exchange_limit):
+            return []
+        return [f"all records together: {self._exchange(first, second)}"]
+
+    def _level(self, kind: str, found: Evidence, known: str) -> str:
+        """Name the beams that all records together find at fault, unless it is what some of the records say already."""
         if found.together is None or not found.p_together() < CAMPAIGN_LEVEL:
             return ""
         best = int(np.argmax(np.abs(found.together.score[0])))
-        words = shift_words(kind, *self._members(best), float(found.together.shift[0, best]))
+        beams, sector = self._members(best)
+        if beam_words(beams, sector) == known:
+            return ""
+        words = shift_words(kind, beams, sector, float(found.together.shift[0, best]))
         return f"all records together: {words} ({abs(found.together.score[0, best]):.1f} standard deviations)"
 
-    def _most_often(self) -> list[str]:
-        """Say which fault the flagged records have most often."""
+    def _most_often(self) -> tuple[list[str], str, float]:
+        """Say which fault the flagged records have most often, what it is called, and which share of records has it."""
         wrong = np.flatnonzero(self.check.disagree)
-        if not len(wrong):
-            return []
         total = len(self.check.misfit)
+        if not len(wrong) or (total >= _MANY and len(wrong) <= _BY_CHANCE * total):
+            return [], "", 1.0
         kind_of = {index: self._key(index) for index in wrong.tolist()}
         names, counts = np.unique(list(kind_of.values()), return_counts=True)
-        most = names[int(np.argmax(counts))]
+        most = str(names[int(np.argmax(counts))])
         own = [index for index, name in kind_of.items() if name == most]
-        example = own[len(own) // 2]
-        return [
-            f"beams disagree in {len(wrong)} of {total} records; in {len(own)} of them as in this: {self.of_record(example)}"
-        ]
+        example = self.of_record(own[len(own) // 2])
+        line = f"beams disagree in {len(wrong)} of {total} records; {len(own)} of them are like this one: {example}"
+        return [line], most, len(own) / total
 
     def _key(self, index: int) -> str:
         """Return what tells faults apart when they are counted: the beams, not by how much they are off."""
@@ -153,10 +167,8 @@ class CheckWords:
         angle, sd = np.degrees(mean.tilt)
         if not abs(angle) > max(_SHARP_TILT * sd, _LEAST_TILT):
             return []
-        return [
-            f"the beams' means say that the lidar is tilted by {angle:+.1f}° (standard deviation {sd:.1f}°) more than the "
-            "records say"
-        ]
+        words = f"the beams' means say that the lidar is tilted by {angle:+.1f}° more than the records say"
+        return [f"{words} (standard deviation {sd:.1f}°)"]
 
     def _scatter(self) -> list[str]:
         found = self.check.scatter
@@ -165,17 +177,14 @@ class CheckWords:
         factor, low, high = found
         if low <= 1.0 <= high or abs(np.log(factor)) < _NEAR_ONE:
             return []
-        why = (
-            f"eddies are smaller than those of the noise (L = {self.length_scale:.3g} m), the air is intermittent, or the "
-            "instrument adds noise of its own"
-            if factor > 1.0
-            else f"eddies are larger than those of the noise (L = {self.length_scale:.3g} m), so the beams have less in "
-            "common with their mean and more with each other: intervals are too narrow"
+        made_for = f"those that the noise was made for (L = {self.length_scale:.3g} m)"
+        why = f"eddies are larger than {made_for}, or the wind is not steady"
+        if factor > 1.0:
+            why = f"eddies are smaller than {made_for}, the air is intermittent, or the instrument adds noise"
+        words = (
+            f"the beams' variances scatter against each other {factor:.2f} ({low:.2f} to {high:.2f}) times as much as"
         )
-        return [
-            f"the beams' variances scatter against each other {factor:.2f} ({low:.2f} to {high:.2f}) times as much as the "
-            f"noise says: {why}"
-        ]
+        return [f"{words} the noise says: {why}"]
 
     def numbers(self) -> dict[str, Any]:
         """Return what `run.json` holds, as plain values."""
@@ -186,7 +195,9 @@ class CheckWords:
             "level": check.level,
             "looked_at": int(np.count_nonzero(np.isfinite(check.probability))),
             "disagree": int(np.count_nonzero(check.disagree)),
-            "scatter": None if check.scatter is None else dict(zip(("factor", "low", "high"), check.scatter, strict=True)),
+            "scatter": None
+            if check.scatter is None
+            else dict(zip(("factor", "low", "high"), check.scatter, strict=True)),
             "excess": {kind: found.excess for kind, found in check.kinds.items()},
             "p_together": {
                 kind: found.p_together() for kind, found in check.kinds.items() if found.together is not None

@@ -90,22 +90,30 @@ def record_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, op
         Of all records; those that are not fitted, and scans of one beam, are not looked at. Of more than `MOST_BEAMS`
         beams so many are looked at, evenly chosen.
     """
-    n_record, fitted = len(batch), can_be_fitted(batch)
+    n_record = len(batch)
     unknown = np.full(n_record, np.nan)
     nothing = RecordBeams(np.zeros(n_record, dtype=np.bool_), unknown, unknown, np.full(n_record, "", dtype=object), {})
+    fitted = can_be_fitted(batch)
     if scan.n_beam == 1 or not len(fitted):
         return nothing
-    some = np.unique(np.linspace(0, scan.n_beam - 1, min(scan.n_beam, MOST_BEAMS)).round().astype(np.int64))
-    if len(some) < scan.n_beam:
-        scan, noise = scan.select(scan.beam[some]), noise.select(scan.beam[some])
-    data = _Data(records.isel(record=fitted, beam=some), scan, noise, _of_beams(batch.take(fitted), some), options)
-    check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(fitted))
-    told = CheckWords(check, scan.beam, float(np.median(noise.length_scale)))
-    values = {"disagree": check.disagree, "probability": check.probability, "misfit": check.misfit, "words": told.records}
+    told = look_at_beams(records.isel(record=fitted), scan, noise, batch.take(fitted), options)
+    check = told.check
+    values = {"disagree": check.disagree, "words": told.records}
+    values |= {name: getattr(check, name) for name in ("probability", "misfit")}
     whole = {name: getattr(nothing, name).copy() for name in values}
     for name, found in values.items():
         whole[name][fitted] = found
     return RecordBeams(**whole, numbers=told.numbers())
+
+
+def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, options: FitOptions) -> CheckWords:
+    """Look at the beams of records that can all be fitted, with two beams at least; see `record_beams`."""
+    some = np.unique(np.linspace(0, scan.n_beam - 1, min(scan.n_beam, MOST_BEAMS)).round().astype(np.int64))
+    if len(some) < scan.n_beam:
+        scan, noise = scan.select(scan.beam[some]), noise.select(scan.beam[some])
+    data = _Data(records.isel(beam=some), scan, noise, _of_beams(batch, some), options)
+    check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(batch))
+    return CheckWords(check, scan.beam, float(np.median(noise.length_scale)))
 
 
 def _of_beams(batch: Batch, some: NDArray[np.int64]) -> Batch:
@@ -157,7 +165,7 @@ class _Data:
             return None
         batch, used = self.batch.take(rows), self.mean_used[rows]
         mean = np.where(used, self.mean[rows], 0.0)
-        direction = self.direction if self.direction.ndim == 2 else self.direction[rows]  # noqa: PLR2004 - one for all
+        direction = self.direction if self.direction.ndim == 2 else self.direction[rows]
         level = np.nanmean(np.where(batch.used, batch.variance, np.nan), axis=1)
         covariance = level[:, None, None] * _between(self.log_speed, self.relative, np.log(batch.wind_speed))
         expected = expected_means(mean, used, direction, self.scan.focus_distance, batch.wind_speed, covariance)
