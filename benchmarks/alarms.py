@@ -25,7 +25,7 @@ from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.noise_choice import noise_and_records
 from bayes_rs.fits.prepare import prepare
 from bayes_rs.fits.record_beams import look_at_beams
-from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan import Scan, tilt_matrix
 from bayes_rs.records.beam_wind import wind_of_beams
 
 HERE = Path(__file__).parent
@@ -69,8 +69,6 @@ def with_wind(records: xr.Dataset, scan: Scan, speed: np.ndarray, seed: int, til
     rng = np.random.default_rng(seed)
     exponent = rng.normal(0.15, 0.08, len(speed))
     across = speed * np.tan(np.deg2rad(rng.normal(0.0, 4.0, len(speed))))
-    from bayes_rs.geometry.scan import tilt_matrix
-
     n = scan.beam_direction @ tilt_matrix(scan.tilt + np.deg2rad(tilt_deg))
     height = n[:, 2] * scan.focus_distance
     more = speed[:, None] * (((HUB + height) / HUB) ** exponent[:, None] - 1.0) * n[:, 0] + across[:, None] * n[:, 1]
@@ -97,7 +95,7 @@ def faults(scan: Scan, good: xr.Dataset, seed: int) -> Iterator[tuple[str, list[
 
     for name, factor in (("20 % less", 0.8), ("50 % less", 0.5), ("50 % more", 1.5), ("twice", 2.0)):
 
-        def scaled(variance: np.ndarray, mean: np.ndarray, factor: float = factor) -> None:
+        def scaled(variance: np.ndarray, _: np.ndarray, factor: float = factor) -> None:
             variance[:, sector] *= factor
 
         yield f"{where}, variance {name}", sector, changed(scaled)
@@ -115,7 +113,7 @@ def faults(scan: Scan, good: xr.Dataset, seed: int) -> Iterator[tuple[str, list[
         variance[:, one] = (1.0 - share) * (variance[:, one] + share * mean[:, one] ** 2)
         mean[:, one] *= 1.0 - share
 
-    def one_in_four(variance: np.ndarray, mean: np.ndarray) -> None:
+    def one_in_four(variance: np.ndarray, _: np.ndarray) -> None:
         variance[::4, sector] *= 0.5
 
     yield "dead beam", [one], changed(dead)
@@ -134,7 +132,7 @@ def faults(scan: Scan, good: xr.Dataset, seed: int) -> Iterator[tuple[str, list[
 
 def looked_at(scan: Scan, records: xr.Dataset) -> CheckWords:
     """Look at records with the defaults of a fit."""
-    noise, records = noise_and_records(records, scan, None, FitOptions(), NoiseOptions(), lambda line: None)
+    noise, records = noise_and_records(records, scan, None, FitOptions(), NoiseOptions(), lambda _: None)
     scan, noise, batch = prepare(records, scan, noise, FitOptions())
     return look_at_beams(records, scan, noise, batch, FitOptions())
 

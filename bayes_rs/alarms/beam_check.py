@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
+from scipy.stats import chi2
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.alarms.means import MEAN_FLOOR, TILT_SD, WIND
+from bayes_rs.alarms.means import LASTING_FLOOR, TILT_SD, WIND
 from bayes_rs.alarms.patterns import Patterns, Scores, independent_patterns, largest_tail, score_patterns
 from bayes_rs.alarms.variances import FLOOR, Expected
 
@@ -23,10 +24,11 @@ FEWEST = 10
 """Records from which on all of them are looked at together."""
 EXCHANGE = 6.6
 """So much, and twice the logarithm of the number of pairs, must χ² fall if two beams are exchanged to be an alarm."""
-_LIKE_RECORDS = 20
+_LIKE_RECORDS = 10
 """What the theory's scatter weighs against that of the records, in records."""
 _HALF_WIDTH = 1.349
 """Width of the shortest half of a standard normal."""
+_UPPER = 0.75
 _MOST_EXCESS = 2.5
 """No more is put down to the air than this: beyond, the beams are at fault."""
 _OF_MEDIAN = 0.5 * np.pi
@@ -65,7 +67,9 @@ class Evidence:
     Parameters
     ----------
     excess : float
-        How much larger the variance of the beams' scores over the records is than expected, 1 at least.
+        How much larger the variance of the scores over the records is than expected, 1 at least.
+    square_excess : float
+        The same of χ²: the larger of that and of the median of χ² over its own.
     independent : float
         How many independent scores have the same largest as those of the patterns.
     square, count : ndarray, shape (n_record,)
@@ -83,6 +87,7 @@ class Evidence:
     """
 
     excess: float
+    square_excess: float
     independent: float
     square: FloatArray
     count: NDArray[np.int64]
@@ -96,7 +101,7 @@ class Evidence:
     @property
     def p_square(self) -> FloatArray:
         """Probability of so large a χ², shape (n_record,); NaN without data."""
-        tail = chdtrc(np.maximum(self.count, 1), self.square / self.excess)
+        tail = chdtrc(np.maximum(self.count, 1), self.square / self.square_excess)
         return np.where(self.count > 1, tail, np.nan)
 
     @property
@@ -185,6 +190,7 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
     every, first = max(1, n_record // _MOST_SCATTER), 0
     independent: dict[str, float] = {}
     for pair in blocks:
+        own = np.arange(-first % every, len(pair[0].used), every)
         total: FloatArray = np.zeros(())
         for name, block in zip(tallies, pair, strict=True):
             if block is None:
@@ -194,10 +200,9 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
             whole = np.asarray(block.used.all(axis=1))
             if name not in independent and whole.any():
                 independent[name] = independent_patterns(covariance[int(whole.argmax())], patterns)
-            tallies[name].append(_seen(block, scores, whole))
+            tallies[name].append(_seen(block, scores, whole, own))
             total = np.asarray(total + np.where(np.isfinite(scores.swap), scores.swap, 0.0))
         swaps.append(_best_swap(total))
-        own = np.arange(-first % every, len(swaps[-1]), every)
         found = pair[0].expected
         some.append((found.noise[own], found.slope[own], found.left[own], pair[0].used[own], own + first))
         first += len(swaps[-1])
@@ -235,9 +240,10 @@ class _Seen:
     slope: FloatArray
     noise: FloatArray
     n_whole: int
+    some_scores: FloatArray
 
 
-def _seen(block: Block, scores: Scores, whole: NDArray[np.bool_]) -> _Seen:
+def _seen(block: Block, scores: Scores, whole: NDArray[np.bool_], some: NDArray[np.int64]) -> _Seen:
     used, rows = block.used, np.arange(len(block.used))
     best = np.argmax(np.abs(scores.score), axis=1)
     return _Seen(
@@ -249,6 +255,7 @@ def _seen(block: Block, scores: Scores, whole: NDArray[np.bool_]) -> _Seen:
         block.expected.slope[whole].sum(axis=0),
         block.expected.noise[whole].sum(axis=0),
         int(whole.sum()),
+        np.where(np.any(block.used[some], axis=1)[:, None], scores.score[some], np.nan),
     )
 
 
@@ -265,25 +272,33 @@ def _evidence(seen: Sequence[_Seen], independent: float, patterns: Patterns, *, 
         np.concatenate(parts) for parts in zip(*(s.scores for s in seen), strict=True)
     )
     beam_score = np.concatenate([one.beam_score for one in seen])
-    excess = _excess(beam_score)
+    excess = _excess(np.concatenate([one.some_scores for one in seen]), count)
     together, tilt = _together(seen, patterns, excess, means=means)
-    return Evidence(excess, independent, square, count, beam_score, pattern, score, shift, together, tilt)
+    sizes = (excess, max(excess, _square_excess(square, count)))
+    return Evidence(*sizes, independent, square, count, beam_score, pattern, score, shift, together, tilt)
 
 
-def _excess(beam_score: FloatArray) -> float:
-    """Return how much larger the variance of the beams' scores over the records is than 1; never below 1.
+def _excess(score: FloatArray, count: NDArray[np.int64]) -> float:
+    """Return how much larger the variance of the patterns' scores over the records is than 1; never below 1.
 
-    The width is that of the shortest half of a beam's scores, which the other half, of faults, does not change.
+    The width is that of the shortest half of a pattern's scores, which the other half, of faults, does not change; of
+    the patterns, three in four have no more.
     """
-    known = np.isfinite(beam_score)
-    enough = known.sum(axis=0) >= FEWEST
-    if not enough.any():
+    known = np.isfinite(score[:, 0])
+    n = np.count_nonzero(count > 1)
+    if known.sum() < FEWEST:
         return 1.0
-    spread = [
-        _shortest_half(score[own]) / _HALF_WIDTH
-        for score, own in zip(beam_score.T[enough], known.T[enough], strict=True)
-    ]
-    own, n = float(np.median(np.square(spread))), float(np.median(known[:, enough].sum(axis=0)))
+    own = np.quantile([np.square(_shortest_half(one) / _HALF_WIDTH) for one in score[known].T], _UPPER)
+    return float(np.clip((_LIKE_RECORDS + n * own) / (_LIKE_RECORDS + n), 1.0, _MOST_EXCESS))
+
+
+def _square_excess(square: FloatArray, count: NDArray[np.int64]) -> float:
+    """Return how much larger the median of χ² over the records is than that of its distribution."""
+    there = count > 1
+    n = np.count_nonzero(there)
+    if n < FEWEST:
+        return 1.0
+    own = float(np.median(square[there] / chi2.median(count[there])))
     return float(np.clip((_LIKE_RECORDS + n * own) / (_LIKE_RECORDS + n), 1.0, _MOST_EXCESS))
 
 
@@ -314,7 +329,7 @@ def _together(
     if n_whole < FEWEST or used.sum() < 2:
         return None, None
     slope, noise = (np.sum([getattr(one, name) for one in seen], axis=0) / n_whole for name in ("slope", "noise"))
-    flow, floor = slope @ slope.T, (MEAN_FLOOR if means else FLOOR) ** 2 * np.eye(len(used))
+    flow, floor = slope @ slope.T, (LASTING_FLOOR if means else FLOOR) ** 2 * np.eye(len(used))
     covariance = _OF_MEDIAN / known[used].min() * (excess * noise + flow) + floor + flow
     found = score_patterns(middle[None], covariance[None], used[None], patterns, level[None])
     if not means:

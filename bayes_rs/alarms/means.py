@@ -14,6 +14,8 @@ COHERENCE = 1.5
 """Factor on the covariance of the means that turbulence makes: other air is less coherent than Mann's."""
 MEAN_FLOOR = 0.012
 """Standard deviation of each beam's mean, over the wind speed, that no model has: pointing, terrain."""
+LASTING_FLOOR = 0.005
+"""The part of it that is the same in all records."""
 TILT_SD = np.deg2rad(3.0)
 """Standard deviation of an error of the lidar's tilt, rad."""
 
@@ -28,15 +30,17 @@ class _Flow(NamedTuple):
 WIND = {
     "along": _Flow(1.0, 3.0),
     "across": _Flow(0.0, 1.5),
-    "up": _Flow(0.0, 0.02),
+    "up": _Flow(0.0, 0.01),
     "shear": _Flow(0.0015, 0.0025),
     "side_shear": _Flow(0.0, 0.0010),
     "veer": _Flow(0.0, 0.0010),
     "stretch": _Flow(0.0, 0.0005),
+    "induction": _Flow(0.0, 0.05),
     "tilt": _Flow(0.0, float(TILT_SD)),
 }
 """What the mean wind of a record may be; shears and stretch per metre. Shear of 0.0015/m is an exponent of 0.15 at
-100 m, veer of 0.001/m is 3.4° over 60 m."""
+100 m, veer of 0.001/m is 3.4° over 60 m; a rotor slows the wind by an induction that falls with exp(−r / 60 m)."""
+_INDUCED = 60.0
 
 
 def expected_means(
@@ -89,8 +93,9 @@ def expected_means(
 
 
 def wind_columns(direction: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what each entry of `WIND` does to the beams' means, shape (..., n_beam, 8), and the entries' middles."""
+    """Return what each entry of `WIND` does to the beams' means, shape (..., n_beam, 9), and the entries' middles."""
     x, y, z = np.moveaxis(direction, -1, 0)
+    induced = np.exp(-distance / _INDUCED) * np.ones_like(x)
     place_y, place_z = y * distance, z * distance
-    columns = np.stack([x, y, z, x * place_z, x * place_y, y * place_z, y * place_y, z], axis=-1)
+    columns = np.stack([x, y, z, x * place_z, x * place_y, y * place_z, y * place_y, x * induced, z], axis=-1)
     return columns, np.array([flow.middle for flow in WIND.values()])

@@ -12,7 +12,7 @@ from bayes_rs.alarms.beam_check import CAMPAIGN_LEVEL, BeamCheck, Evidence
 
 DEAD = 0.1
 """A beam with less than this of the variance that the others explain looks dead."""
-_SHARP_TILT = 3.0
+_SHARP_TILT = 2.5
 _LEAST_TILT = 1.0
 _NEAR_ONE = 0.3
 """A scatter whose logarithm is nearer to 0 than this, or whose interval holds 1, is not worth a line."""
@@ -175,7 +175,7 @@ class CheckWords:
         if found is None:
             return []
         factor, low, high = found
-        if low <= 1.0 <= high or abs(np.log(factor)) < _NEAR_ONE:
+        if low <= 1.0 <= high or np.exp(-_NEAR_ONE) < factor < np.exp(_NEAR_ONE):
             return []
         made_for = f"those that the noise was made for (L = {self.length_scale:.3g} m)"
         why = f"eddies are larger than {made_for}, or the wind is not steady"

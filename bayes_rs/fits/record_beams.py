@@ -32,7 +32,7 @@ MOST_BEAMS = 64
 """Of more beams, so many are looked at, evenly chosen."""
 _SLOWEST, _FASTEST = 1.5, 40.0
 """Wind speeds between which means are looked at, m/s."""
-_LOG_STEP = 0.5 * np.log(2.0)
+_LOG_STEP = np.log(2.0)
 
 
 @dataclass(frozen=True)
