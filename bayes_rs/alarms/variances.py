@@ -11,7 +11,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.priors.ratio import RatioPrior
 
 ANY_AIR = RatioPrior(
-    sd_uu=4.0, vv=0.64, sd_vv=0.5, ww=0.35, sd_ww=0.7, uv=0.0, sd_uv=0.25, uw=-0.25, sd_uw=0.35, vw=0.0, sd_vw=0.25
+    sd_uu=20.0, vv=0.64, sd_vv=0.5, ww=0.35, sd_ww=0.7, uv=0.0, sd_uv=0.25, uw=-0.25, sd_uw=0.35, vw=0.0, sd_vw=0.25
 )
 """Air of every kind lies within three of these standard deviations, and an alarm is beyond: a flow is no fault."""
 GRADIENT_SD = 0.3

@@ -150,7 +150,7 @@ class CheckWords:
         most = str(names[int(np.argmax(counts))])
         own = [index for index, name in kind_of.items() if name == most]
         example = self.of_record(own[len(own) // 2])
-        line = f"beams disagree in {len(wrong)} of {total} records; {len(own)} of them are like this one: {example}"
+        line = f"beams disagree in {len(wrong)} of {total} records, {len(own)} times as in this: {example}"
         return [line], most, len(own) / total
 
     def _key(self, index: int) -> str:
