@@ -129,7 +129,7 @@ class TestFit:
         done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
         assert done.exit_code == 0, done.output
         assert "3 of 3 records fitted" in done.output
-        assert "flag contradicts_model: 3 of 3 records, first record 0 (2000-01-01T00:00)" in done.output.splitlines()
+        assert "flag beams_disagree: 3 of 3 records, first record 0 (2000-01-01T00:00)" in done.output.splitlines()
 
     def test_a_folder_that_is_being_written_is_not_replaced(self, file, tmp_path):
         """Nor by a fit of the other kind, which fills a folder of its own and puts it in the place of the old one."""

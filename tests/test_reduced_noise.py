@@ -107,7 +107,6 @@ def test_draws_are_the_same_with_and_without_predictions(sampler):
     options = replace(OPTIONS, sampler=sampler)
     with_, without = (fit_batch(batch, bank, options, predict=predict) for predict in (True, False))
     np.testing.assert_array_equal(with_.chains.stress, without.chains.stress)
-    np.testing.assert_array_equal(with_.misfit, without.misfit)
     assert np.isfinite(with_.predicted).all()
     assert with_.predicted.shape[-1] == 50
     assert without.predicted.shape == (*with_.predicted.shape[:-1], 0)

@@ -109,8 +109,6 @@ class RecordDraws:
         Draws of the sampled nuisances, in the units of `bayes_rs.posteriors.nuisance.UNITS`.
     predicted : ndarray, shape (n_record, n_chain, n_predicted, n_beam)
         Radial variances that the posterior predicts, m² s⁻²; NaN for beams that a record does not use.
-    misfit : ndarray, shape (n_record,)
-        Largest distance of a beam's log-variance from what the posterior predicts, in standard deviations.
     outside : ndarray of bool, shape (n_record,)
         Whether the noise does not reach to the record.
     clipped : ndarray, shape (n_record,)
@@ -120,7 +118,6 @@ class RecordDraws:
     chains: Chains
     nuisances: dict[str, FloatArray]
     predicted: FloatArray
-    misfit: FloatArray
     outside: NDArray[np.bool_]
     clipped: FloatArray
 
@@ -162,7 +159,7 @@ def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = 
             for name in Chains.__dataclass_fields__
         }
     )
-    names = ("predicted", "misfit", "outside", "clipped")
+    names = ("predicted", "outside", "clipped")
     return RecordDraws(
         chains=chains,
         nuisances={
@@ -186,12 +183,12 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
     if sonic:  # before anything else is drawn, so that it is the same with and without predictions
         chains, clipped = draw_sonic(posterior, chains, sonic, streams, inflation=options.nuisances.inflation)
     some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK]
-    flat = some.reshape(len(batch), -1, some.shape[-1])
-    expected = posterior.likelihood.expected(*posterior.seen(flat))
-    log_covariance = options.nuisances.inflation * np.log1p(at_record.covariance)
     n_beam = batch.variance.shape[1]
     predicted = np.full((*some.shape[:3], n_beam if predict else 0), np.nan)
     if predict:
+        flat = some.reshape(len(batch), -1, some.shape[-1])
+        expected = posterior.likelihood.expected(*posterior.seen(flat))
+        log_covariance = options.nuisances.inflation * np.log1p(at_record.covariance)
         root = _symmetric_root(log_covariance, at_record.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     whole = chains.coordinate.reshape(len(batch), -1, some.shape[-1])
@@ -202,7 +199,6 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
             for name, values in posterior.nuisance_values(whole).items()
         },
         predicted,
-        _misfit(expected, np.einsum("rbb->rb", log_covariance), batch),
         at_record.outside,
         clipped,
     )
@@ -246,11 +242,11 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         effort=options.effort,
     )
     n_chain, n_draw, k = chains.coordinate.shape[1:]
-    some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
-    expected = likelihood.expected(*posterior.seen(some))
     n_beam = batch.variance.shape[1]
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
     if predict:
+        some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
+        expected = likelihood.expected(*posterior.seen(some))
         full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
         root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
@@ -259,7 +255,6 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         chains,
         {name: value.reshape(len(batch), n_chain, n_draw) for name, value in values.items()},
         predicted,
-        _misfit(expected, options.nuisances.inflation * at_record.log_variance, batch),
         at_record.outside,
         np.zeros(len(batch)),
     )
@@ -352,15 +347,6 @@ def _predicted(expected: FloatArray, root: FloatArray, used: NDArray[np.bool_], 
     half_variance = 0.5 * np.einsum("rbk,rbk->rb", root, root)
     log_noise = normal @ root.swapaxes(-1, -2) - half_variance[:, None, :]
     return np.where(used[:, None, :], expected * np.exp(log_noise), np.nan)
-
-
-def _misfit(expected: FloatArray, log_variance: FloatArray, batch: Batch) -> FloatArray:
-    """Return the largest standardized distance of a used beam from its prediction, shape (n_record,)."""
-    log_mean = np.log(expected)
-    centre = log_mean.mean(axis=1) - 0.5 * log_variance
-    spread = np.sqrt(log_mean.var(axis=1) + log_variance)
-    distance = np.abs(np.log(np.where(batch.used, batch.variance, 1.0)) - centre) / spread
-    return np.asarray(np.where(batch.used, distance, 0.0).max(axis=1))
 
 
 def _symmetric_root(matrices: FloatArray, state: NDArray[np.int64]) -> FloatArray:

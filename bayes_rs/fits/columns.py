@@ -13,5 +13,13 @@ CORRELATED = tuple(f"autocorrelation_time_{name}" for name in STRESSES)
 PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
 COVARIANCES = tuple(f"cov_{STRESSES[i]}_{STRESSES[j]}" for i, j in PAIRS)
 """Columns with the posterior covariances of the stresses, m⁴ s⁻⁴."""
-PER_RECORD = ("stresses_learnt", "acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
+PER_RECORD = (
+    "stresses_learnt",
+    "acceptance_rate",
+    "n_step",
+    "pareto_k",
+    "misfit",
+    "beams_probability",
+    "sonic_clipped",
+)
 """Columns with one number a record; NaN where it was not fitted."""

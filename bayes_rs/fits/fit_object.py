@@ -205,5 +205,5 @@ class Fit(FitData):
 
     @property
     def remarks(self) -> list[str]:
-        """One line for each flag that some record has: how many have it, and the first."""
-        return flag_lines(self.flag, self.record_names)
+        """One line for each flag that some record has: how many have it, and the first; then what beams disagree."""
+        return [*flag_lines(self.flag, self.record_names), *self.run.get("beams", {}).get("words", [])]

@@ -17,13 +17,13 @@ FLAGS: dict[str, int] = {
     "short_chain": 16,
     "ensembles_differ": 32,
     "weights_uneven": 64,
-    "contradicts_model": 128,
     "not_stationary": 256,
     "low_wind": 512,
     "likelihood_failed": 1024,
     "excluded": 2048,
     "outside_noise": 4096,
     "cut_off": 65536,
+    "beams_disagree": 16384,
 }
 """Bits of a record's flag."""
 
@@ -40,7 +40,6 @@ FLAG_MEANINGS = {
     "short_chain": "some stress has fewer effective draws than asked for",
     "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
     "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
-    "contradicts_model": "a beam is far from what the posterior predicts for it",
     "not_stationary": "the record has a trend, or its parts differ",
     "low_wind": "the mean wind is below the limit of the record checks",
     "excluded": "taken out by a rule of quality; not fitted",
@@ -48,6 +47,7 @@ FLAG_MEANINGS = {
     "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
     "too wide",
     "cut_off": "the data begin or end within the record, so that no beam has enough samples; not fitted",
+    "beams_disagree": "beams disagree with each other by more than any flow explains",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -59,8 +59,6 @@ FAILURES = (
     | FLAGS["likelihood_failed"]
 )
 """Flags that count as a failure of a record; the others are remarks."""
-MISFIT_LIMIT = 3.0
-"""A beam whose log-variance is so many standard deviations from what the posterior predicts contradicts the model."""
 
 
 def flag_words(flag: int) -> str:
@@ -120,6 +118,5 @@ def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:
     flag[~(chains.ess_bulk.min(axis=1) >= target_ess)] |= FLAGS["short_chain"]
     flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)] |= FLAGS["ensembles_differ"]
     flag[chains.pareto_k > PARETO_K_LIMIT] |= FLAGS["weights_uneven"]
-    flag[draws.misfit > MISFIT_LIMIT] |= FLAGS["contradicts_model"]
     flag[draws.outside] |= FLAGS["outside_noise"]
     return flag

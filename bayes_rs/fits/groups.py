@@ -18,7 +18,13 @@ from bayes_rs.posteriors.nuisance import UNITS
 from bayes_rs.posteriors.sampling.chains import N_WALKER
 
 _UNIT = {"units": "m2 s-2"}
-_PER_RECORD = {"acceptance_rate": "", "n_step": "", "pareto_k": "", "misfit": "standard deviations"}
+_PER_RECORD = {
+    "acceptance_rate": "",
+    "n_step": "",
+    "pareto_k": "",
+    "misfit": "standard deviations",
+    "beams_probability": "",
+}
 
 
 def posterior(fit: FitData) -> xr.Dataset:

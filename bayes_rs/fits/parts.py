@@ -71,13 +71,14 @@ class Shared:
 
 @dataclass(frozen=True)
 class Part:
-    """Some records in a row: their place among the parts, data, numbers, starts, and flags before the fit."""
+    """Some records in a row: their place among the parts, data, numbers, starts, flags and columns before the fit."""
 
     index: int
     batch: Batch
     record: NDArray[np.int64]
     time: NDArray[np.datetime64]
     flag: NDArray[np.int64]
+    known: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,6 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         "acceptance_rate": chains.acceptance,
         "n_step": chains.n_step.astype(np.float64),
         "pareto_k": chains.pareto_k,
-        "misfit": draws.misfit,
         "sonic_clipped": draws.clipped,
         **{name: matrix[:, i, j] for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True)},
         **dict(zip(ALONG, along.T, strict=True)),
@@ -204,7 +204,8 @@ def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd
             "flag_bits": flag,
             "sampler": found.sampler,
             "outside_noise": found.outside,
-            **{name: found.numbers.get(name, missing) for name in names},
+            **{name: part.known.get(name, found.numbers.get(name, missing)) for name in names},
+            "beams_words": part.known.get("beams_words", np.full(found.n_record, "", dtype=object)),
         }
     )
 

@@ -18,10 +18,11 @@ from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.direction_table import prior_covariances, scan_directions
 from bayes_rs.fits.fit_options import FitOptions
-from bayes_rs.fits.flags import flags_before
+from bayes_rs.fits.flags import FLAGS, flags_before
 from bayes_rs.fits.noise_choice import about_probe
 from bayes_rs.fits.parts import Part, Shared, n_kept
 from bayes_rs.fits.prepare import can_be_fitted, prepare
+from bayes_rs.fits.record_beams import RecordBeams, record_beams
 from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
@@ -99,7 +100,8 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         If the noise was made for another scan.
     """
     scan, noise, batch = prepare(records, scan, noise, options)
-    parts = _parts(records, batch)
+    beams = record_beams(records, scan, noise, batch, options)
+    parts = _parts(records, batch, beams)
     described = [(part.record, part.time, part.flag) for part in parts]
     key_parts = digest_parts(
         **version_parts(),
@@ -143,6 +145,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "n_chain": N_CHAIN,
         "n_draw": n_kept(options),
         "n_predicted": n_kept(options) // BLOCK,
+        "beams": beams.numbers,
     }
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
 
@@ -194,12 +197,15 @@ def noise_summary(noise: Noise) -> dict[str, Any]:
     }
 
 
-def _parts(records: xr.Dataset, batch: Batch) -> list[Part]:
-    flag = flags_before(records, batch.used, can_be_fitted(batch))
+def _parts(records: xr.Dataset, batch: Batch, beams: RecordBeams) -> list[Part]:
+    flag = flags_before(records, batch.used, can_be_fitted(batch)) | FLAGS["beams_disagree"] * beams.disagree
     number = np.arange(len(batch))
     start = starts(records)
     slices = [slice(first, first + PART_RECORDS) for first in range(0, len(batch), PART_RECORDS)]
-    return [Part(i, batch.take(rows), number[rows], start[rows], flag[rows]) for i, rows in enumerate(slices)]
+    return [
+        Part(i, batch.take(rows), number[rows], start[rows], flag[rows], beams.columns(rows))
+        for i, rows in enumerate(slices)
+    ]
 
 
 def starts(records: xr.Dataset) -> NDArray[np.datetime64]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.flags import MISFIT_LIMIT
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
@@ -164,7 +163,7 @@ def diagnostic_limits(found: ReportData) -> dict[str, float | None]:
         "ess_tail": None,
         "r_hat": R_HAT_LIMIT,
         "pareto_k": PARETO_K_LIMIT,
-        "misfit": MISFIT_LIMIT,
+        "misfit": None,
     }
 
 

@@ -448,6 +448,8 @@ def _diagnostics_section(found: ReportData) -> str:
         )
     header = ("flag", "means", "counts as", "first records", "records", "share")
     content = table("Flags of the records", header, flags, n_text=4)
+    told = found.run.get("beams", {}).get("words", [])
+    content += lines([line[0].upper() + line[1:] for line in told]) if told else ""
     limits = figures.diagnostic_limits(found)
     rows = []
     for name, values in figures.worst_diagnostics(found).items():

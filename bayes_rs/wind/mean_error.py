@@ -28,7 +28,7 @@ _LOG_STEP, _YAW_STEP = 0.5 * np.log(2.0), np.deg2rad(20.0)  # of the net of stat
 _LOG_ANCHOR = np.log(10.0)
 
 
-class _Moments(NamedTuple):
+class MeanMoments(NamedTuple):
     """Covariance of the means and expected variances of the beams of one state, m² s⁻²."""
 
     covariance: FloatArray
@@ -104,7 +104,7 @@ def beam_mean_covariance(
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
     yaw = scan.yaw if yaw_deg is None else np.deg2rad(check_finite(yaw_deg, what="yaw_deg", unit="°"))
-    return _moments(scan, turbulence, wind_speed, float(yaw), duration, tolerance).covariance
+    return mean_moments(scan, turbulence, wind_speed, float(yaw), duration, tolerance).covariance
 
 
 def record_mean_covariance(
@@ -158,7 +158,7 @@ def record_mean_covariance(
         return covariance
     axes = (_nodes(np.log(speed[known]), _LOG_ANCHOR, _LOG_STEP), _nodes(yaw[known], 0.0, _YAW_STEP))
     states = np.array([(u, psi) for u in axes[0] for psi in axes[1]])
-    made = [_moments(scan, turbulence, float(np.exp(u)), float(psi), duration, 1e-3) for u, psi in states]
+    made = [mean_moments(scan, turbulence, float(np.exp(u)), float(psi), duration, 1e-3) for u, psi in states]
     means, variances = (np.stack(part) for part in zip(*made, strict=True))
     net = find_net(states)
     points = np.column_stack([np.log(speed[known]), yaw[known]])
@@ -204,9 +204,10 @@ def _nodes(values: FloatArray, anchor: float, step: float) -> FloatArray:
     return np.asarray(anchor + step * np.arange(first, max(last, first) + 1), dtype=np.float64)
 
 
-def _moments(
+def mean_moments(
     scan: Scan, turbulence: MannTurbulence, wind_speed: float, yaw: float, duration: float, tolerance: float
-) -> _Moments:
+) -> MeanMoments:
+    """Return the covariance of the means and the expected variances of the beams, at one wind speed and yaw (rad)."""
     count = sample_counts(scan, duration)
     pairs = distinct_pairs(scan, scan.at_yaw(yaw), count, wind_speed)
     mean, at_zero = np.empty(len(pairs.across)), np.empty(len(pairs.across))
@@ -231,4 +232,4 @@ def _moments(
     whole[pairs.row, pairs.column] = mean[pairs.distinct]
     whole[pairs.column, pairs.row] = mean[pairs.distinct]
     own = pairs.distinct[pairs.row == pairs.column]
-    return _Moments(whole, at_zero[own] - mean[own])
+    return MeanMoments(whole, at_zero[own] - mean[own])

@@ -181,6 +181,6 @@ def test_a_beam_ten_times_too_energetic_is_told():
     variance[2, 10] *= 10.0
     result, draws = fitted(records_of(variance, scan), scan, noise)
     assert np.isfinite(draws).all()
-    flags = result["sample_stats/flag"].values & FLAGS["contradicts_model"]
+    flags = result["sample_stats/flag"].values & FLAGS["beams_disagree"]
     np.testing.assert_array_equal(flags != 0, np.arange(5) == 2)
-    assert result.summary().query("record == 2")["flag"].str.contains("contradicts_model").all()
+    assert result.summary().query("record == 2")["flag"].str.contains("beams_disagree").all()
