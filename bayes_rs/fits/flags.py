@@ -23,6 +23,7 @@ FLAGS: dict[str, int] = {
     "likelihood_failed": 1024,
     "excluded": 2048,
     "outside_noise": 4096,
+    "unsteady": 8192,
 }
 """Bits of a record's flag."""
 
@@ -44,6 +45,7 @@ FLAG_MEANINGS = {
     "likelihood_failed": "the likelihood could not be calculated; not fitted",
     "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
     "too wide",
+    "unsteady": "the wind changes as by a front or a trend, which adds to the stresses",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -95,6 +97,8 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
         for meaning, mask in zip(meanings, masks, strict=True):
             if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
+    if "unsteady" in records:
+        flag[records["unsteady"].values != 0] |= FLAGS["unsteady"]
     return flag
 
 
