@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -23,7 +24,8 @@ CHANGES = {
     "change_uv": ("m2 s-2", "what clear changes of the wind add to uv"),
 }
 """What records get of their changes: unit and meaning; 0 where none is clear, NaN where nothing was compared."""
-_ROUNDED = 1e-4  # depths below are none
+_ROUNDED = 5e-3  # depths below are none
+_LEVEL = 0.02  # at which unsteady records do not tell how much variances scatter, where no one asks for them
 
 
 def with_block_checks(
@@ -49,23 +51,29 @@ def with_block_checks(
     records : Dataset
         With ``variance_scatter`` and ``variance_scatter_of_beams`` (record), relative variances; ``unsteady`` (record),
         ``unsteady_p_value`` and `CHANGES`. Records without statistics of their parts stay as they are.
+
+    Notes
+    -----
+    Changes are looked for twice: as in Gaussian air, so that the scatter is learnt from records without any; and then
+    against air that is as intermittent as the records say.
     """
     if options.scatter == "theory" and options.unsteady_level == 0.0:
         return records
     states = block_states(records, scan, noise)
     if states is None or not states.compared.any():
         return records
-    modulation = Modulation()
+    level = options.unsteady_level if options.unsteady_level > 0.0 else _LEVEL
+    changes = find_changes(records, states)
+    scatter = learn_scatter(records, states, leave_out=np.asarray(changes.clear(level).any(axis=1)))
     if options.scatter == "records":
-        scatter = learn_scatter(records, states)
         records = _with_scatter(records, scatter)
         say(_scatter_words(scatter))
+    if options.unsteady_level > 0.0:
         if scatter.depth > _ROUNDED:
             modulation = Modulation(float(np.round(scatter.depth, 2)), float(np.round(scatter.time_scale)))
-    if options.unsteady_level > 0.0:
-        changes = find_changes(records, states, modulation)
-        records = _with_changes(records, changes, options.unsteady_level)
-        say(_change_words(records, changes, options.unsteady_level))
+            changes = find_changes(records, states, modulation)
+        records = _with_changes(records, changes, level)
+        say(_change_words(records, changes, level))
     return records
 
 
@@ -83,7 +91,7 @@ def _with_changes(records: xr.Dataset, changes: Changes, level: float) -> xr.Dat
     p_value = np.full(len(size), np.nan)
     known = np.isfinite(changes.p_value).any(axis=1)
     p_value[known] = np.nanmin(changes.p_value[known], axis=1)
-    found = {
+    found: dict[str, Any] = {
         name: ("record", value, {"units": unit, "long_name": words})
         for (name, (unit, words)), value in zip(CHANGES.items(), values, strict=True)
     }
@@ -104,9 +112,9 @@ def _scatter_words(scatter: VarianceScatter) -> str:
         return "scatter of the variances: that of theory, since no record tells its own"
     middle = np.median(scatter.common + scatter.own)
     return (
-        f"scatter of the variances beyond Gaussian air, from the blocks of {scatter.n_record} records: relative variance "
-        f"{middle:.2g} (median), time scale {scatter.time_scale:.0f} s, {100.0 * scatter.shared:.0f} % of it shared by "
-        "the beams"
+        f"scatter of the variances beyond Gaussian air, from the blocks of {scatter.n_record} records: relative "
+        f"variance {middle:.2g} (median), time scale {scatter.time_scale:.0f} s, "
+        f"{100.0 * scatter.shared:.0f} % of it shared by the beams"
     )
 
 

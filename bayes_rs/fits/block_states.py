@@ -85,7 +85,7 @@ class BlockStates:
             for length, weight in self.weights.items():
                 some = rows[weight[rows] > 0.0]
                 if len(some):
-                    yield State(*(int(part) for part in key), length), some, weight[some]
+                    yield State(int(key[0]), int(key[1]), int(key[2]), length), some, weight[some]
 
     def theory(self, state: State) -> BlockTheory:
         """Return what theory expects in a state."""
@@ -142,7 +142,7 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates |
     -------
     states : BlockStates or None
         Records are given to the nearest node of ln U and of the direction, and to those of ln L between which theirs
-        lies, or over which it spreads.
+        lies, or over which it spreads; such that L/U is the record's own.
     """
     if any(name not in records for name in STATISTICS):
         return None
@@ -159,14 +159,18 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates |
         if name in records:
             own = np.asarray(records[name].values, dtype=np.float64)
             into[:] = np.where(np.isfinite(own), own, into)
+    log_speed = np.log(np.clip(np.where(on, speed, 10.0), *_SPEEDS))
+    speed_node = np.rint(log_speed / _SPEED_STEP).astype(np.int64)
+    # a record's eddies pass as fast as U/L: the length scale makes up for the wind speed of the node
+    log_length = np.log(np.clip(length_scale, *_LENGTHS)) + _SPEED_STEP * speed_node - log_speed
     return BlockStates(
         scan=scan,
         turbulence=replace(noise.turbulence, gamma=float(np.median(noise.gamma))),
         duration=float(records.attrs.get("duration", noise.duration)),
         pattern=pattern,
         yaw=np.where(on, np.rint(np.deg2rad(np.where(on, yaw, 0.0)) / _YAW_STEP), 0).astype(np.int64),
-        speed=np.rint(np.log(np.clip(np.where(on, speed, 10.0), *_SPEEDS)) / _SPEED_STEP).astype(np.int64),
-        weights=_length_weights(np.log(np.clip(length_scale, *_LENGTHS)), log_sd),
+        speed=speed_node,
+        weights=_length_weights(log_length, log_sd),
     )
 
 
@@ -174,7 +178,7 @@ def _length_weights(log_length: FloatArray, log_sd: FloatArray) -> dict[int, Flo
     """Return the weights of the nodes of ln L: two beside a known one, those of a normal distribution over others."""
     place, width = log_length / _LENGTH_STEP, log_sd / _LENGTH_STEP
     first, last = (int(np.floor(np.log(end) / _LENGTH_STEP)) for end in _LENGTHS)
-    node = np.arange(first, last + 2)
+    node = np.arange(first - 1, last + 3)
     hat = np.maximum(1.0 - np.abs(place[:, None] - node), 0.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         off = (node - place[:, None]) / width[:, None]

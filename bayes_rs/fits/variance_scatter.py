@@ -9,6 +9,7 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.block_states import BlockStates
+from bayes_rs.quality.samples import BoolArray, IntArray
 from bayes_rs.records.block_statistics import BLOCKS
 
 _DEPTHS = np.array([0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.5, 2.0])
@@ -111,7 +112,7 @@ def excess_of_blocks(duration: float, time_scale: float) -> FloatArray:
     )
 
 
-def learn_scatter(records: xr.Dataset, states: BlockStates) -> VarianceScatter:
+def learn_scatter(records: xr.Dataset, states: BlockStates, *, leave_out: BoolArray | None = None) -> VarianceScatter:
     r"""Learn from records how much their variances scatter beyond theory.
 
     Parameters
@@ -120,6 +121,8 @@ def learn_scatter(records: xr.Dataset, states: BlockStates) -> VarianceScatter:
         With ``block_scatter`` and ``block_scatter_of_beams``.
     states : BlockStates
         Theory of these records.
+    leave_out : ndarray of bool, shape (n_record,), optional
+        Records that nothing is learnt from, as unsteady ones, whose blocks differ by more than eddies do.
 
     Returns
     -------
@@ -144,6 +147,8 @@ def learn_scatter(records: xr.Dataset, states: BlockStates) -> VarianceScatter:
     )
     expected, expected_of_beams, n_beam = _expected(states, len(whole))
     known = np.isfinite(whole) & np.isfinite(expected) & (whole > 0.0)
+    if leave_out is not None:
+        known &= ~leave_out[:, None]
     finest = [column for column in range(len(BLOCKS)) if known[:, column].any()]
     rows = np.flatnonzero(known[:, finest].all(axis=1)) if finest else np.empty(0, dtype=np.int64)
     if len(rows) == 0:
@@ -166,7 +171,7 @@ def learn_scatter(records: xr.Dataset, states: BlockStates) -> VarianceScatter:
 
 
 def _expected(states: BlockStates, n_record: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return both expected scatters (n_record, len(BLOCKS)), and the numbers of beams; NaN where nothing is compared."""
+    """Return both expected scatters (n_record, len(BLOCKS)), and numbers of beams; NaN where nothing is compared."""
     whole, beams = np.zeros((n_record, len(BLOCKS))), np.zeros((n_record, len(BLOCKS)))
     total, n_beam = np.zeros(n_record), np.ones(n_record)
     for state, rows, weight in states.groups():
@@ -225,7 +230,7 @@ def _shared(
     expected: FloatArray,
     of_beams: FloatArray,
     expected_of_beams: FloatArray,
-    rows: np.ndarray,
+    rows: IntArray,
     column: int,
     n_beam: FloatArray,
 ) -> float:

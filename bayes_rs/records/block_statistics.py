@@ -30,9 +30,11 @@ def n_part(scan: Scan, duration: float) -> int:
 
 def blocks_of(scan: Scan, duration: float) -> tuple[int, ...]:
     """Return the numbers of blocks whose variances a record's samples allow to compare."""
-    return tuple(
-        number for number in BLOCKS if duration / scan.scan_duration / number >= _LEAST_OF_BLOCK - 1e-9
-    ) if n_part(scan, duration) else ()
+    return (
+        tuple(number for number in BLOCKS if duration / scan.scan_duration / number >= _LEAST_OF_BLOCK - 1e-9)
+        if n_part(scan, duration)
+        else ()
+    )
 
 
 def chosen_beams(scan: Scan) -> Scan:
@@ -107,11 +109,11 @@ def block_statistics(
     chosen = chosen_beams(scan)
     sums = _sums(samples, keep, chosen, window, number)
     place = {int(beam): index for index, beam in enumerate(samples.numbers.tolist())}
-    own = np.zeros(sums.count.shape[:2], dtype=bool)
+    own = np.zeros(sums.number.shape[:2], dtype=bool)
     for index, beam in enumerate(chosen.beam.tolist()):
         if beam in place:
             own[:, index] = used[:, place[beam]]
-    own &= (sums.count == 0).mean(axis=-1) <= _MISSING
+    own &= (sums.number == 0).mean(axis=-1) <= _MISSING
     bits = (own * (1 << np.arange(chosen.n_beam))).sum(axis=1)
     wind = _winds(_filled(sums, own), own, chosen)
     both, of_beams = _scatters(sums, own, blocks)
@@ -149,7 +151,7 @@ class _Sums(NamedTuple):
     A large mean costs no digits so.
     """
 
-    count: FloatArray
+    number: FloatArray
     first: FloatArray
     square: FloatArray
     start: FloatArray
@@ -182,10 +184,10 @@ def _sums(samples: BeamSamples, keep: BoolArray, chosen: Scan, window: int, numb
 def _filled(sums: _Sums, own: BoolArray) -> FloatArray:
     """Return the means of the parts, shape (n_record, n_beam, n_part); empty ones lie on the line between others."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.asarray(sums.start[..., None] + sums.first / sums.count)
+        mean = np.asarray(sums.start[..., None] + sums.first / sums.number)
     number = np.arange(mean.shape[-1])
-    for record, beam in np.argwhere(own & (sums.count == 0).any(axis=-1)):
-        there = sums.count[record, beam] > 0
+    for record, beam in np.argwhere(own & (sums.number == 0).any(axis=-1)):
+        there = sums.number[record, beam] > 0
         mean[record, beam] = np.interp(number, number[there], mean[record, beam, there])
     return mean
 
@@ -206,7 +208,7 @@ def _winds(mean: FloatArray, own: BoolArray, chosen: Scan) -> FloatArray:
 
 def _scatters(sums: _Sums, own: BoolArray, blocks: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     """Return both scatters, each (n_record, len(BLOCKS)); NaN where a block of a beam has no variance."""
-    n_record, n_beam, number = sums.count.shape
+    n_record, n_beam, number = sums.number.shape
     both, of_beams = np.full((n_record, len(BLOCKS)), np.nan), np.full((n_record, len(BLOCKS)), np.nan)
     n_own = own.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -215,7 +217,7 @@ def _scatters(sums: _Sums, own: BoolArray, blocks: tuple[int, ...]) -> tuple[Flo
                 continue
             count, first, square = (
                 values.reshape(n_record, n_beam, n_block, number // n_block).sum(axis=-1)
-                for values in (sums.count, sums.first, sums.square)
+                for values in (sums.number, sums.first, sums.square)
             )
             variance = np.where(own[..., None], square / count - (first / count) ** 2, 1.0)
             variance = np.where(variance > 0.0, variance, np.nan)

@@ -122,9 +122,7 @@ def make_records(
     start = ((first + np.arange(samples.n_record)) * chosen.window).astype("datetime64[ns]")
     records = _with_wind(_moments(samples, filtered, chosen.needed(of_scan)), start, samples, of_scan, rules)
     records = records.assign(
-        block_statistics(
-            samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0
-        )
+        block_statistics(samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0)
     )
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
     report = {

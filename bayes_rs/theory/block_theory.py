@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class BlockTheory(NamedTuple):
     Attributes
     ----------
     wind : ndarray, shape (n_component, n_part)
-        Covariance, m² s⁻², of the mean winds of two parts, by how many parts they are apart: along the wind and, if the
-        beams see it, across.
+        Covariance, m² s⁻², of the mean winds of two parts, by how many parts they are apart: along the wind and across,
+        as far as the beams see them.
     scatter, scatter_of_beams : ndarray, shape (len(BLOCKS),)
         Expected ``block_scatter`` and ``block_scatter_of_beams`` of records; NaN for numbers of blocks not asked for.
     """
@@ -107,12 +107,18 @@ def block_theory(
     used: BoolArray = np.ones(scan.n_beam, dtype=bool)
     weights, sees_direction = wind_weights(scan, used)
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    components = turn @ weights if sees_direction else weights[:1]
-    wind = np.array([_wind_covariance(lags, row, duration, n_part) for row in components])
+    components = turn @ weights if sees_direction else weights[:1] if np.any(weights[0]) else weights[:0]
+    wind = np.array([_wind_covariance(lags, row, duration, n_part) for row in components]).reshape(-1, n_part)
     scatter, of_beams = np.full(len(BLOCKS), np.nan), np.full(len(BLOCKS), np.nan)
     for number in blocks:
         column = BLOCKS.index(number)
-        scatter[column], of_beams[column] = _log_scatter(lags, scan.n_beam, duration, number)
+        samples = duration / number / lags.step
+        few = int(samples + 1e-9)
+        found = np.array(_log_scatter(lags, scan.n_beam, duration, number, few))
+        if few < _MOST_IN_BLOCK and samples - few > 1e-6:  # some blocks have a sample more
+            more = np.array(_log_scatter(lags, scan.n_beam, duration, number, few + 1))
+            found += (samples - few) * (more - found)
+        scatter[column], of_beams[column] = found
     return BlockTheory(wind, scatter, of_beams)
 
 
@@ -143,20 +149,27 @@ def _wind_covariance(lags: _Lags, weights: FloatArray, duration: float, n_part: 
     turned = np.bincount(
         pairs.distinct, weights=np.where(pairs.row == pairs.column, 0.0, both), minlength=len(lags.covariance)
     )
-    n = max(1, round(duration / n_part / lags.step))
-    weight = (n - np.abs(np.arange(-(n - 1), n))) / n**2
+    samples = max(duration / n_part / lags.step, 1.0)
+    few = int(samples + 1e-9)
+    n = few + 1  # some parts have a sample more than others
+    off = np.abs(np.arange(-(n - 1), n))
+    share = samples - few
+    weight = (1.0 - share) * np.maximum(few - off, 0) / few**2 + share * (n - off) / n**2
     total = np.empty(n_part)
     for apart in range(n_part):
-        middle = round(apart * duration / n_part / lags.step)
-        ahead, behind = lags.at(middle - (n - 1), 2 * n - 1), lags.at(-middle - (n - 1), 2 * n - 1)
-        total[apart] = weight @ (of_distinct @ ahead + turned @ behind)
+        between = apart * samples
+        low = int(between + 1e-9)
+        at = [
+            weight @ (of_distinct @ lags.at(step - (n - 1), 2 * n - 1) + turned @ lags.at(-step - (n - 1), 2 * n - 1))
+            for step in (low, low + 1)
+        ]
+        total[apart] = at[0] + (between - low) * (at[1] - at[0])
     return total
 
 
-def _log_scatter(lags: _Lags, n_beam: int, duration: float, number: int) -> tuple[float, float]:
-    """Return the expected scatters over `number` blocks: of the beams' mean variance, and the mean of the beams'."""
+def _log_scatter(lags: _Lags, n_beam: int, duration: float, number: int, n: int) -> tuple[float, float]:
+    """Return the expected scatters over `number` blocks of n samples: of the mean of the beams, and beam by beam."""
     pairs = lags.pairs
-    n = int(duration / number / lags.step + 1e-9)
     mean = np.full(len(lags.covariance), np.nan)
     mean[pairs.own] = toeplitz_trace(lags.at(-(n - 1), 2 * n - 1)[pairs.own], n) / n
     of_beam = mean[pairs.distinct[pairs.row == pairs.column]]
@@ -203,7 +216,7 @@ def _log_over_plain(lags: _Lags, of_beam: FloatArray, n: int) -> tuple[float, fl
     return _ratio(whole), float(np.mean([_ratio(values) for values in beams]))
 
 
-def _ratio(eigenvalue: FloatArray) -> float:
+def _ratio(eigenvalue: Any) -> float:
     """Return Var[ln q]/Var[q] for q of mean one."""
     return _log_variance(eigenvalue) * float(np.sum(eigenvalue)) ** 2 / float(2.0 * np.sum(eigenvalue**2))
 
