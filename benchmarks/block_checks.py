@@ -1,9 +1,9 @@
 """Fronts, trends and the scatter of variances: how often they are found, and what intervals then hold.
 
-Records by the line simulator, whose level at every L is that of the shipped flow fu-2022 (uu = 1.37 m² s⁻², 10 m/s). Fronts are
-steps of 3 m/s, smoothed over 10 s, of either sign and at any time in the middle 80 % of a record; trends 2 m/s over the record. Beside
-the power stands that of the best possible test, which knows shape, place, sign, L and level. Wandering strength is exp(s g − s²), g an
-Ornstein–Uhlenbeck process; intervals are those of 90 % for uu.
+Records by the line simulator, whose level at every L is that of the shipped flow fu-2022 (uu = 1.37 m² s⁻², 10 m/s).
+Fronts are steps of 3 m/s, smoothed over 10 s, of either sign and at any time in the middle 80 % of a record; trends
+2 m/s over the record. Beside the power stands that of the best possible test, which knows shape, place, sign, L and
+level. Wandering strength is exp(s g − s²), g an Ornstein–Uhlenbeck process; intervals are those of 90 % for uu.
 
     python benchmarks/block_checks.py [steadiness|scatter]
 """
