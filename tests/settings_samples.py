@@ -103,6 +103,8 @@ SAMPLES = {
         "prob": one("--prob", 0.5),
         "derived": Sample(("tke", "ti"), ("--derived", "tke", "--derived", "ti")),
         "draws": one("--draws", "float32"),
+        "scatter": one("--scatter", "theory"),
+        "unsteady_level": one("--unsteady-level", 0.05),
     },
     "nuisances": {
         "yaw_sd_deg": one("--yaw-sd", 2.0),

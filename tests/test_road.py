@@ -229,6 +229,8 @@ OPTION_CASES = {
     "prob": ({}, {"prob": 0.5}),
     "derived": ({}, {"derived": ("tke", "ti")}),
     "draws": ({}, {"draws": "none"}),
+    "scatter": ({}, {"scatter": "theory"}),
+    "unsteady_level": ({}, {"unsteady_level": 0.0}),
 }
 """Say here what an option changes: other options that it needs, and another value."""
 NUISANCE_CASES = {
@@ -265,6 +267,20 @@ def differ(one, other):
     return any(not one[name].equals(other[name]) for name in one)
 
 
+def parts_of(scan):
+    """Statistics of the parts of two records: both scatter much, and one has a front."""
+    rng = np.random.default_rng(7)
+    wind = 10.0 + 0.1 * rng.standard_normal((2, 2, 32))
+    wind[:, 0, 16:] += 5.0
+    return {
+        "part_beams": ("record", np.full(2, 2 ** min(scan.n_beam, 8) - 1, dtype=np.int16)),
+        "part_wind": (("record", "part"), wind[0]),
+        "part_wind_across": (("record", "part"), wind[1] - 10.0),
+        "block_scatter": (("record", "blocks"), np.full((2, 3), 1.0)),
+        "block_scatter_of_beams": (("record", "blocks"), np.full((2, 3), 1.5)),
+    }
+
+
 @pytest.fixture(scope="module")
 def scenes_of(tmp_path_factory):
     """For few and many beams: records, scan, noise, and files of records and noise."""
@@ -272,7 +288,7 @@ def scenes_of(tmp_path_factory):
     for name in ("6-beam", "50-beam"):
         folder = tmp_path_factory.mktemp(name)
         records, scan, noise = scene(name, 2)
-        records = records.assign(yaw_sd=("record", [np.nan, 1.0]))
+        records = records.assign(yaw_sd=("record", [np.nan, 1.0]), **parts_of(scan))
         records.to_netcdf(folder / "records.nc", engine="h5netcdf")
         bank = scales(noise)
         noise.save(folder / "plain.nc")

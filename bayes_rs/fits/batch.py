@@ -15,6 +15,7 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
+from bayes_rs.likelihoods.scattered import scattered, scattered_reduced, scattered_sonic
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
@@ -49,6 +50,8 @@ class Batch:
         Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
     yaw_sd : ndarray, shape (n_record,), optional
         Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
+    scatter : ndarray, shape (n_record, 2), optional
+        Relative variance of a record's variances beyond theory: what all beams share, and each beam's own.
     """
 
     variance: FloatArray
@@ -60,6 +63,7 @@ class Batch:
     turn: FloatArray | None = None
     instrument_noise: FloatArray | None = None
     yaw_sd: FloatArray | None = None
+    scatter: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -77,6 +81,7 @@ class Batch:
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
+            None if self.scatter is None else self.scatter[records],
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
@@ -214,6 +219,8 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         at_node = noise.for_records(
             batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
         )
+        if batch.scatter is not None:
+            at_node = scattered_reduced(at_node, noise.left, batch.scatter)
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
@@ -302,12 +309,13 @@ def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | Non
 def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicNoise]:
     """Return the moments of a sonic with the beams, for each length scale that the posterior is averaged over."""
     factors, _ = options.nuisances.length_scale_nodes()
-    return [
+    found = [
         noise.sonic_for_records(
             batch.wind_speed, batch.yaw, **_own_flow(noise, batch, options.nuisances, float(factor))
         )
         for factor in factors
     ]
+    return found if batch.scatter is None else [scattered_sonic(moments, batch.scatter) for moments in found]
 
 
 def noise_at_median(batch: Batch, noise: Noise, nuisances: Nuisances) -> RecordNoise:
@@ -317,7 +325,8 @@ def noise_at_median(batch: Batch, noise: Noise, nuisances: Nuisances) -> RecordN
 
 def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
-    return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+    found = noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+    return found if batch.scatter is None else scattered(found, batch.scatter)
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import as_generator, check_choice, check_count, check_non_negative
+from bayes_rs._validation import as_generator, check_choice, check_count, check_finite, check_non_negative
 from bayes_rs.errors import InputError
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.options import described, nearest, option, options_of
@@ -24,6 +24,8 @@ TARGETS = {
     "sonic": "the tensor that a sonic at the lidar would have measured in this very record",
 }
 """Which R a fit is of, in words."""
+SCATTERS = ("records", "theory")
+"""What says how much variances scatter."""
 DRAWS = ("auto", "none", "float32", "float64")
 """What is kept of the draws."""
 MOST_KEPT = 2000
@@ -83,6 +85,15 @@ class FitOptions:
         unit="m² s⁻²",
         choices=("records",),
     )
+    scatter: str = option(
+        "records",
+        "How much variances scatter: records, as theory says and the records' own blocks say beyond it; theory, as in "
+        "Gaussian air",
+        choices=SCATTERS,
+    )
+    unsteady_level: float = option(
+        0.02, "Share of steady records in which a front or a trend is found by chance; 0 looks for none"
+    )
     nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over", flag="")
     prob: float = option(0.9, "Probability of the credible intervals")
     derived: Sequence[str] = option(
@@ -105,6 +116,12 @@ class FitOptions:
         check_count(self.target_ess, what="target_ess")
         check_count(self.max_extension, what="max_extension", minimum=0)
         check_choice(self.draws, DRAWS, what="draws")
+        check_choice(self.scatter, SCATTERS, what="scatter")
+        if not 0.0 <= check_finite(self.unsteady_level, what="unsteady_level", unit="") < 1.0:
+            raise InputError(
+                f"Invalid unsteady_level {self.unsteady_level!r}: it must be at least 0 and below 1; 0.02 is usual, 0 "
+                "looks for no fronts and trends."
+            )
         check_prob(self.prob)
         object.__setattr__(self, "derived", (self.derived,) if isinstance(self.derived, str) else tuple(self.derived))
         check_derived(self.derived)

@@ -24,6 +24,7 @@ FLAGS: dict[str, int] = {
     "outside_noise": 4096,
     "cut_off": 65536,
     "beams_disagree": 16384,
+    "unsteady": 8192,
 }
 """Bits of a record's flag."""
 
@@ -48,6 +49,7 @@ FLAG_MEANINGS = {
     "too wide",
     "cut_off": "the data begin or end within the record, so that no beam has enough samples; not fitted",
     "beams_disagree": "beams disagree with each other by more than any flow explains",
+    "unsteady": "the wind changes as by a front or a trend, which adds to the stresses",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -99,6 +101,8 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
         for meaning, mask in zip(meanings, masks, strict=True):
             if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
+    if "unsteady" in records:
+        flag[records["unsteady"].values != 0] |= FLAGS["unsteady"]
     return flag
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.fits.block_checks import with_block_checks
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
@@ -54,6 +55,7 @@ def noise_and_records(
         noise = _made_noise(records, scan, options, choice, say)
     if words := about_probe(noise, records):
         say(words)
+    records = with_block_checks(records, scan, noise, options, say)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
 
 

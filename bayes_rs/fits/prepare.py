@@ -50,6 +50,9 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         gain_turn(records, scan),
         own_noise,
     )
+    if options.scatter == "records" and "variance_scatter" in records:
+        both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
+        batch = replace(batch, scatter=np.stack(both, axis=-1).astype(np.float64))
     if uncertain.yaw_sd_of_records:
         batch = replace(batch, yaw_sd=_own_yaw_sd(records, can_be_fitted(batch), uncertain.yaw_sd_missing_deg))
     return scan, noise, batch

@@ -22,6 +22,7 @@ from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.belief import impossible_in, most_variance
+from bayes_rs.records.block_statistics import block_statistics
 from bayes_rs.records.checks import blades_in, check_records, in_wind_sectors
 from bayes_rs.records.counts import flags_report, samples_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, flag_attributes
@@ -65,7 +66,9 @@ def make_records(
         ``first_sample`` and ``last_sample`` (record) are those of any beam, s after the start. ``flag`` is zero for a
         beam to be used; a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON
         what was dropped. Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``,
-        ``half_ratio`` (record, beam).
+        ``half_ratio`` (record, beam). What the parts of a record tell of its steadiness and of the
+        scatter of its variance stands in ``part_beams`` (record), ``part_wind``, ``part_wind_across`` (record, part),
+        ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``.
 
     Raises
     ------
@@ -127,6 +130,9 @@ def make_records(
     impossible = impossible_in(samples, filtered)
     start = (windows * chosen.window).astype("datetime64[ns]")
     records = _with_wind(_moments(samples, filtered, chosen.needed(of_scan)), start, samples, of_scan, rules)
+    records = records.assign(
+        block_statistics(samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0)
+    )
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
     records = with_cut_off(_with_span(records, samples, chosen), of_scan, chosen)
     report = {

@@ -22,6 +22,7 @@ from bayes_rs.report.availability import Availability, make_availability
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
+from bayes_rs.report.unsteady import unsteady_table
 
 MOST_FILES = 400
 """Files up to which each has a row of its own."""
@@ -447,7 +448,7 @@ def _diagnostics_section(found: ReportData) -> str:
             )
         )
     header = ("flag", "means", "counts as", "first records", "records", "share")
-    content = table("Flags of the records", header, flags, n_text=4)
+    content = table("Flags of the records", header, flags, n_text=4) + unsteady_table(found)
     told = found.run.get("beams", {}).get("words", [])
     content += lines([line[0].upper() + line[1:] for line in told]) if told else ""
     limits = figures.diagnostic_limits(found)
