@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.uncertain_length import averaged_noise, averaged_reduced
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
@@ -49,6 +50,8 @@ class Batch:
         Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
     yaw_sd : ndarray, shape (n_record,), optional
         Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
+    length_log_sd : ndarray, shape (n_record,), optional
+        Standard deviations of the records' own ln L, which their noise is averaged over.
     """
 
     variance: FloatArray
@@ -60,6 +63,7 @@ class Batch:
     turn: FloatArray | None = None
     instrument_noise: FloatArray | None = None
     yaw_sd: FloatArray | None = None
+    length_log_sd: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -77,6 +81,7 @@ class Batch:
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
+            None if self.length_log_sd is None else self.length_log_sd[records],
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
@@ -215,8 +220,13 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     parts: list[Likelihood] = []
     place = _place(batch, noise.bank, options.nuisances)
     for factor in factors:
-        at_node = noise.for_records(
-            batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
+        at_node = averaged_reduced(
+            noise,
+            batch.wind_speed,
+            batch.yaw,
+            _own_flow(noise.bank, batch, options.nuisances, float(factor)),
+            batch.length_log_sd,
+            ensemble=options.target == "ensemble",
         )
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
@@ -251,7 +261,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     n_beam = batch.variance.shape[1]
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
     if predict:
-        full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
+        full = _noise_of(noise.bank, batch, options, 1.0)
         root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     values = posterior.nuisance_values(chains.coordinate.reshape(len(batch), -1, k))
@@ -273,7 +283,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
     parts: list[Likelihood] = []
     place = _place(batch, noise, options.nuisances)
     for factor in factors:
-        at_node = _noise_of(noise, batch, options.nuisances, float(factor))
+        at_node = _noise_of(noise, batch, options, float(factor))
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
@@ -315,15 +325,17 @@ def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicN
     ]
 
 
-def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
+def _noise_of(noise: Noise, batch: Batch, options: FitOptions, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
-    return noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+    own = _own_flow(noise, batch, options.nuisances, factor)
+    ensemble = options.target == "ensemble"
+    return averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd, ensemble=ensemble)
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:
     """Return the length scale and Γ of records, where they have their own."""
     own = dict(batch.flow)
-    if nuisances.length_scale_log_sd > 0.0:
+    if nuisances.length_scale_sd > 0.0:
         if np.ptp(np.log(noise.length_scale)) == 0.0:
             raise InputError(
                 "The noise knows one length scale only, so it cannot be averaged over others: make it with "

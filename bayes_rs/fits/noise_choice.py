@@ -11,12 +11,15 @@ import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.uncertain_length import length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.wind.mean_vector import mean_wind
 
+NET_LENGTHS = (10.0, 320.0)
+"""Length scales, m, that noise reaches over for records whose own is uncertain; beyond, it is that of the ends."""
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
 
@@ -50,6 +53,11 @@ def noise_and_records(
     say : callable
         Takes lines that tell what was done.
     """
+    if _needs_own_lengths(records, noise, options, choice):
+        from bayes_rs.spectra.record_lengths import length_words, with_own_length_scale  # noqa: PLC0415 - as below
+
+        records = with_own_length_scale(records, scan)
+        say(length_words(records))
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
     if words := about_probe(noise, records):
@@ -57,12 +65,19 @@ def noise_and_records(
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
 
 
+def _needs_own_lengths(records: xr.Dataset, noise: Noise | None, options: FitOptions, choice: NoiseOptions) -> bool:
+    """Tell whether records are to get the length scale of their spectra: where they and the user say none."""
+    if not choice.of_records or "length_scale" in records or options.nuisances.length_scale is not None:
+        return False
+    return noise is None or len(np.unique(noise.length_scale)) > 1
+
+
 def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say) -> Noise:
     from bayes_rs.noise.calibrating import calibrate  # noqa: PLC0415 - not needed with a file
 
     noise = calibrate(
         scan,
-        choice.turbulence,
+        choice.flow,
         records=records,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
@@ -80,10 +95,13 @@ def about_probe(noise: Noise, records: xr.Dataset) -> str:
 
 def _length_scales(records: xr.Dataset, nuisances: Nuisances) -> list[float] | None:
     """Return the shortest and longest L that the noise must know; None if it is that of the turbulence."""
-    if nuisances.length_scale_log_sd == 0.0:
+    if nuisances.length_scale_sd == 0.0:
         own = np.asarray(records.get("length_scale", xr.DataArray([])).values, dtype=np.float64)
-        own = own[np.isfinite(own)]
-        return [float(own.min()), float(own.max())] if len(own) else None
+        known = np.isfinite(own)
+        if nuisances.length_scale_sd_of_records and "length_scale_log_sd" in records and known.any():
+            log_sd = np.nan_to_num(records["length_scale_log_sd"].values)
+            return [float(np.clip(end, *NET_LENGTHS)) for end in length_range(own[known], log_sd[known])]
+        return [float(own[known].min()), float(own[known].max())] if known.any() else None
     median = records.get("length_scale") if nuisances.length_scale is None else xr.DataArray(nuisances.length_scale)
     if median is None:
         return None  # not certain, but its median is not known: the fit says so

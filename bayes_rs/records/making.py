@@ -18,6 +18,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.filtering import Filtered, apply_filters
 from bayes_rs.quality.groups import group_moments
+from bayes_rs.quality.octaves import octave_count, record_octaves
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.records.beam_wind import wind_of_beams
@@ -27,6 +28,8 @@ from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, flag_
 from bayes_rs.records.record_options import RecordOptions, check_size, record_options
 from bayes_rs.records.record_samples import sort_samples
 
+OCTAVES = "octave_variance"
+"""Variable that holds the octaves of the variances."""
 _TOLD = ("status_valid", "cnr_range", "despike", "despike_window", "despike_threshold")
 """Rules that the report names beside all of them."""
 
@@ -59,7 +62,8 @@ def make_records(
         ``beam``: those of the scan's beams that the series holds; the others stand in ``attrs["beams_absent"]``.
         Every window from the first to the last sample is there, even if empty. ``flag`` is zero for a beam to be used;
         a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON what was dropped.
-        Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio``
+        ``octave_variance`` (record, beam, octave), m² s⁻², is what halves, quarters, … down to the samples add to the
+        variance (`bayes_rs.quality.octaves`): it tells the length scale. Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio``
         (record, beam).
 
     Raises
@@ -119,6 +123,7 @@ def make_records(
     start = ((first + np.arange(samples.n_record)) * chosen.window).astype("datetime64[ns]")
     records = _with_wind(_moments(samples, filtered, chosen.needed(of_scan)), start, samples, of_scan, rules)
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
+    records = _with_octaves(records, samples, filtered, chosen.window, octave_count(chosen.expected(of_scan)))
     report = {
         **samples_report(came, filtered, int(series.sizes["sample"])),
         **flags_report(records, came.numbers, of_scan),
@@ -208,6 +213,18 @@ def _with_remarks(
         if name in rules.exclude:
             records["flag"].values[rows] |= BEAM_FLAGS["record_excluded"]
     return records
+
+
+def _with_octaves(
+    records: xr.Dataset, samples: BeamSamples, filtered: Filtered, window: int, n_octave: int
+) -> xr.Dataset:
+    """Return the records with what each octave of averaging time adds to their variances."""
+    energy = record_octaves(
+        samples.velocity, samples.group, samples.time, filtered.keep, samples.n_group, window, n_octave
+    )
+    by_record = energy.reshape(len(samples.numbers), samples.n_record, n_octave).swapaxes(0, 1)
+    about = {"units": "m2 s-2", "long_name": "part of the variance by averaging time: halves, quarters, ... samples"}
+    return records.assign({OCTAVES: (("record", "beam", "octave"), by_record.astype(np.float32), about)})
 
 
 def _asked(chosen: RecordOptions, rules: QualityRules, scan: Scan) -> dict[str, Any]:
