@@ -23,6 +23,7 @@ FLAGS: dict[str, int] = {
     "likelihood_failed": 1024,
     "excluded": 2048,
     "outside_noise": 4096,
+    "other_length_scale": 32768,
 }
 """Bits of a record's flag."""
 
@@ -44,6 +45,8 @@ FLAG_MEANINGS = {
     "likelihood_failed": "the likelihood could not be calculated; not fitted",
     "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
     "too wide",
+    "other_length_scale": "the noise was made for another length scale than the record's spectra say: its intervals "
+    "may be too narrow or too wide",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -89,6 +92,8 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
     flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
     unfitted = np.setdiff1d(np.flatnonzero(usable.any(axis=1)), fitted)
     flag[unfitted] |= FLAGS["no_wind"]
+    if "other_length_scale" in records:
+        flag[records["other_length_scale"].values != 0] |= FLAGS["other_length_scale"]
     if "record_flag" in records:
         meanings = str(records["record_flag"].attrs.get("flag_meanings", "")).split()
         masks = np.atleast_1d(records["record_flag"].attrs.get("flag_masks", []))

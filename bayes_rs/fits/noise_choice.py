@@ -20,6 +20,17 @@ from bayes_rs.wind.mean_vector import mean_wind
 
 NET_LENGTHS = (10.0, 320.0)
 """Length scales, m, that noise reaches over for records whose own is uncertain; beyond, it is that of the ends."""
+OWN_TOLERANCE = 0.02
+"""Largest relative error of K in a net over the length scales of records: it moves intervals by 1 %."""
+LENGTH_REPORT = "length_scale_report"
+"""Attribute of records whose length scale is that of their spectra."""
+_OF_SPECTRA = (
+    "length_scale",
+    "length_scale_log_sd",
+    "spectral_length_scale",
+    "spectral_length_scale_log_sd",
+    "other_length_scale",
+)
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
 
@@ -53,6 +64,10 @@ def noise_and_records(
     say : callable
         Takes lines that tell what was done.
     """
+    fixed = not choice.of_records if noise is None else bool(np.ptp(noise.length_scale) == 0.0)
+    if fixed and LENGTH_REPORT in records.attrs:  # what another fit found of these records is not what is asked for
+        records = records.drop_vars(_OF_SPECTRA, errors="ignore").copy()
+        del records.attrs[LENGTH_REPORT]
     if _needs_own_lengths(records, noise, options, choice):
         from bayes_rs.spectra.record_lengths import length_words, with_own_length_scale  # noqa: PLC0415 - as below
 
@@ -60,6 +75,12 @@ def noise_and_records(
         say(length_words(records))
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
+    if "length_scale" not in records and np.ptp(noise.length_scale) == 0.0 and "octave_variance" in records:
+        from bayes_rs.spectra.record_lengths import compared_length_scale, length_words  # noqa: PLC0415 - as below
+
+        records = compared_length_scale(records, scan, float(noise.length_scale[0]))
+        if words := length_words(records):
+            say(words)
     if words := about_probe(noise, records):
         say(words)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
@@ -81,6 +102,7 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
         records=records,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
+        tolerance=OWN_TOLERANCE if LENGTH_REPORT in records.attrs else None,
     )
     say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
     return noise

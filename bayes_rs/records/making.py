@@ -63,8 +63,8 @@ def make_records(
         Every window from the first to the last sample is there, even if empty. ``flag`` is zero for a beam to be used;
         a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON what was dropped.
         ``octave_variance`` (record, beam, octave), m² s⁻², is what halves, quarters, … down to the samples add to the
-        variance (`bayes_rs.quality.octaves`): it tells the length scale. Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio``
-        (record, beam).
+        variance (`bayes_rs.quality.octaves`): it tells the length scale. Checks of `quality` add their numbers:
+        ``trend`` (m/s), ``trend_p_value``, ``sub_variance``, ``half_ratio`` (record, beam).
 
     Raises
     ------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +96,34 @@ class Blocks:
         return found
 
 
+class ProbeTable(NamedTuple):
+    """The mean correlation within blocks of beams with a probe volume.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_beam, n_yaw, n_length, n_speed, n_octave)
+        The correlations.
+    yaws : ndarray, shape (n_yaw,)
+        Their directions, rad.
+    log_speeds : ndarray, shape (n_speed,)
+        Their ln U.
+    """
+
+    values: FloatArray
+    yaws: FloatArray
+    log_speeds: FloatArray
+
+    def at(self, log_speed: FloatArray, yaw: FloatArray) -> FloatArray:
+        """Return the correlations of records, shape (n_record, n_beam, n_length, n_octave)."""
+        low, part = _between(self.yaws, np.angle(np.exp(1j * yaw)))
+        near, share = _between(self.log_speeds, log_speed)
+        found = np.zeros((len(yaw), *np.take(self.values[:, 0], 0, axis=2).shape))
+        for i, a in ((0, 1.0 - part), (1, part)):
+            for j, b in ((0, 1.0 - share), (1, share)):
+                found += (a * b)[:, None, None, None] * np.moveaxis(self.values, (1, 3), (0, 1))[low + i, near + j]
+        return found
+
+
 @dataclass(frozen=True, eq=False)
 class OctaveTheory:
     """The expected octaves of some beams of a scan.
@@ -111,12 +140,8 @@ class OctaveTheory:
         Mean covariance within blocks of uu, vv, ww and uw by ln(U/L), relative to Σ of these at one point.
     at_zero : ndarray, shape (4,)
         The covariances at one point.
-    probed : ndarray, shape (n_beam, n_yaw, n_length, n_speed, n_octave), optional
+    probed : ProbeTable, optional
         The mean correlation within blocks of beams with a probe volume.
-    yaws : ndarray, shape (n_yaw,)
-        Directions of `probed`, rad.
-    log_speeds : ndarray, shape (n_speed,)
-        ln U of `probed`.
     """
 
     scan: Scan
@@ -124,9 +149,7 @@ class OctaveTheory:
     gamma: float
     point: CubicSpline
     at_zero: FloatArray
-    probed: FloatArray | None = None
-    yaws: FloatArray | None = None
-    log_speeds: FloatArray | None = None
+    probed: ProbeTable | None = None
 
     def correlation(self, wind_speed: FloatArray, yaw: FloatArray) -> FloatArray:
         """Return the mean correlation within blocks, shape (n_record, n_beam, n_length, n_octave).
@@ -140,25 +163,12 @@ class OctaveTheory:
         """
         speed = np.log(np.clip(wind_speed, *_SPEEDS))
         if self.probed is not None:
-            return self._probed_correlation(speed, yaw)
+            return self.probed.at(speed, yaw)
         parts = self.point(speed[:, np.newaxis] - length_nodes())  # (n_record, n_length, 4, n_octave)
         line = np.stack([self.scan.at_yaw(float(angle)) for angle in yaw]) if len(yaw) else np.empty((0, 0, 3))
         weight = _weights(line)
         total = weight @ self.at_zero
         return np.asarray(np.einsum("rbc,rnco->rbno", weight / total[..., np.newaxis], parts, optimize=True))
-
-    def _probed_correlation(self, speed: FloatArray, yaw: FloatArray) -> FloatArray:
-        assert self.probed is not None
-        assert self.yaws is not None
-        assert self.log_speeds is not None
-        turn = np.angle(np.exp(1j * yaw))
-        low, part = _between(self.yaws, turn)
-        near, share = _between(self.log_speeds, speed)
-        found = 0.0
-        for i, a in ((0, 1.0 - part), (1, part)):
-            for j, b in ((0, 1.0 - share), (1, share)):
-                found = found + (a * b)[:, None, None, None] * self.probed[:, low + i, :, near + j]
-        return np.asarray(found)
 
     def expected(self, correlation: FloatArray, filled: FloatArray) -> FloatArray:
         """Return the expected octaves of unit variance, shape (…, n_octave).
@@ -243,9 +253,25 @@ def octave_theory(
 @lru_cache(maxsize=8)
 def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int) -> OctaveTheory:
     scan = by_key.scan
-    interval = scan.scan_duration
-    n_sample = int(samples_that_fit(duration - scan.beam_time[0], interval))
-    blocks = Blocks.of(n_sample, interval, float(scan.beam_time[0]), duration)
+    interval, begin = scan.scan_duration, float(scan.beam_time[0])
+    n_sample = int(samples_that_fit(duration - begin, interval))
+    blocks, point, at_zero = _points(n_sample, interval, begin, duration, gamma)
+    if isinstance(scan.probe, PointProbe):
+        return OctaveTheory(scan, blocks, gamma, point, at_zero)
+    lag = interval * np.arange(1, n_sample)
+    yaws = np.deg2rad(_YAW_STEP * np.arange(first, last + 1))
+    slowest, fastest = np.log(_SPEEDS)
+    speeds = np.linspace(slowest, fastest, int(np.ceil((fastest - slowest) / _PROBE_STEP)) + 1)
+    probed = _probed(scan, np.asarray(lag), blocks.weights(), gamma, yaws, speeds)
+    return OctaveTheory(scan, blocks, gamma, point, at_zero, ProbeTable(probed, yaws, speeds))
+
+
+@lru_cache(maxsize=8)
+def _points(
+    n_sample: int, interval: float, begin: float, duration: float, gamma: float
+) -> tuple[Blocks, CubicSpline, FloatArray]:
+    """Return the blocks of a beam's samples, and the table of uu, vv, ww and uw: the same for all points."""
+    blocks = Blocks.of(n_sample, interval, begin, duration)
     weights = blocks.weights()
     lag = interval * np.arange(1, n_sample)
     axes = np.eye(3)[[0, 1, 2, 0]], np.eye(3)[[0, 1, 2, 2]]
@@ -255,16 +281,8 @@ def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int
     unit = MannTurbulence(dissipation=1.0, length_scale=1.0, gamma=gamma)
     along = np.broadcast_to(-_CORE * np.sinh(place), (4, len(place)))
     between = CubicSpline(place, radial_covariance(*axes, np.zeros((4, 2)), along, unit), axis=1)
-    at_zero = between(0.0)
     table = np.stack([between(np.arcsinh(np.exp(x) * lag / _CORE)) @ weights.T for x in node])
-    point = CubicSpline(node, table)
-    if isinstance(scan.probe, PointProbe):
-        return OctaveTheory(scan, blocks, gamma, point, at_zero)
-    yaws = np.deg2rad(_YAW_STEP * np.arange(first, last + 1))
-    speeds = np.arange(*np.log(_SPEEDS), _PROBE_STEP)
-    return OctaveTheory(
-        scan, blocks, gamma, point, at_zero, _probed(scan, lag, weights, gamma, yaws, speeds), yaws, speeds
-    )
+    return blocks, CubicSpline(node, table), np.asarray(between(0.0))
 
 
 def _probed(

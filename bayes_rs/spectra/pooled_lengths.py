@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from bayes_rs._validation import FloatArray
@@ -127,7 +129,7 @@ def pool_lengths(
     )
 
 
-def _classes(wind_speed: FloatArray) -> tuple[FloatArray, list[np.ndarray]]:  # type: ignore[type-arg]
+def _classes(wind_speed: FloatArray) -> tuple[FloatArray, list[NDArray[np.int64]]]:
     """Return classes of ln U, each with its mean less that of all; records without a wind are in the middle."""
     known = np.isfinite(wind_speed) & (wind_speed > 0.0)
     log_speed = np.log(np.where(known, wind_speed, 1.0))
@@ -138,7 +140,8 @@ def _classes(wind_speed: FloatArray) -> tuple[FloatArray, list[np.ndarray]]:  # 
     return np.array([apart[part].mean() for part in parts]), parts
 
 
-def _parts(classes: list[np.ndarray], x: FloatArray):  # type: ignore[type-arg,no-untyped-def]
+def _parts(classes: list[NDArray[np.int64]], x: FloatArray) -> Iterator[tuple[NDArray[np.int64], float]]:
+    """Yield some records of one class at a time, and where their class is."""
     for records, at in zip(classes, x, strict=True):
         for first in range(0, len(records), _RECORDS):
             yield records[first : first + _RECORDS], float(at)
@@ -146,7 +149,7 @@ def _parts(classes: list[np.ndarray], x: FloatArray):  # type: ignore[type-arg,n
 
 def _fine(log_density: FloatArray, coarse: FloatArray, node: FloatArray) -> FloatArray:
     between = CubicSpline(coarse, log_density, axis=1)(node)
-    return np.exp(np.clip(between - between.max(axis=1, keepdims=True), -200.0, 0.0))
+    return np.asarray(np.exp(np.clip(between - between.max(axis=1, keepdims=True), -200.0, 0.0)))
 
 
 def _distribution(node: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.records.making import OCTAVES
 from bayes_rs.spectra.octave_information import octave_information
 from bayes_rs.spectra.octave_likelihood import length_likelihood
 from bayes_rs.spectra.octave_theory import MOST_BEAMS, OctaveTheory, chosen_beams, length_nodes, octave_theory
 from bayes_rs.spectra.pooled_lengths import PRIOR_LOG_SD, PRIOR_MEDIAN, pool_lengths
+from bayes_rs.turbulence.mann import load_turbulence
 
 REPORT = "length_scale_report"
 """Attribute of records, JSON, that says where their length scale comes from."""
+USUAL = "fu-2022"
+"""Turbulence whose anisotropy stands for that of the records."""
+_NAMES = ("length_scale", "length_scale_log_sd")
+_HALF = np.log(1.5)  # other length scales than by half are not worth a word
 _TELLS = 1.0  # decrease of the log-likelihood from its maximum to the ends, below which a record tells nothing
 _SAMPLES_OFF = 1.3  # samples over what the scan gives, above which its times are not those of the scan
 _USED = 0.2  # share of records that a beam must be used in, to be looked at
@@ -93,6 +101,57 @@ def with_own_length_scale(
     ).assign_attrs({REPORT: json.dumps(report)})
 
 
+def compared_length_scale(records: xr.Dataset, scan: Scan | str | Path, length_scale: float) -> xr.Dataset:
+    """Return records that say whether the length scale of their spectra contradicts that of given noise.
+
+    Parameters
+    ----------
+    records : xarray.Dataset
+        From `make_records`; their own noise, if they say a length scale, is not changed.
+    scan : Scan, str or Path
+        The scan that measured them.
+    length_scale : float
+        L that the noise is made for, m.
+
+    Returns
+    -------
+    records : xarray.Dataset
+        With ``spectral_length_scale`` (record), m, ``spectral_length_scale_log_sd``, and ``other_length_scale``
+        (record), whether that is another one: by two standard deviations and by at least half of it. Unchanged if the
+        records tell nothing. Its report holds ``noise_length_scale`` and ``coverage``, what 90 % intervals hold
+        where the data decide: 2Φ(1.645/r) − 1 with r² the relative variance of a variance at the records' L over that
+        at the noise's, by theory for the middle beam.
+    """
+    own = with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan)
+    report = json.loads(own.attrs[REPORT])
+    if report["n_told"] == 0:
+        return records
+    apart = np.abs(np.log(own["length_scale"].values / length_scale))
+    other = (apart > 2.0 * own["length_scale_log_sd"].values) & (apart > _HALF)
+    centre = abs(np.log(report["length_scale"] / length_scale))
+    report["noise_length_scale"] = float(length_scale)
+    report["contradicts"] = bool(centre > 2.0 * report["log_sd"] and centre > _HALF)
+    if report["contradicts"]:
+        report["coverage"] = _coverage(records, as_scan(scan), length_scale, report)
+    return records.assign(
+        spectral_length_scale=own["length_scale"],
+        spectral_length_scale_log_sd=own["length_scale_log_sd"],
+        other_length_scale=("record", other.astype(np.int8)),
+    ).assign_attrs({REPORT: json.dumps(report)})
+
+
+def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict[str, Any]) -> float:
+    """Return what 90 % intervals of a radial variance hold that were made for another length scale."""
+    middle = scan.select([scan.beam[scan.n_beam // 2]])
+    common = {"wind_speed": report["wind_speed"], "duration": float(records.attrs.get("duration", 600.0))}
+    flow = load_turbulence(USUAL)
+    given, true = (
+        float(theory_noise(middle, replace(flow, length_scale=scale), **common).covariance[0, 0, 0])
+        for scale in (length_scale, report["length_scale"])
+    )
+    return float(erf(1.645 * np.sqrt(given / true) / np.sqrt(2.0)))
+
+
 def length_words(records: xr.Dataset) -> str:
     """Say in one line which length scale records have, and where it comes from; empty if `REPORT` is missing."""
     if REPORT not in records.attrs:
@@ -105,6 +164,14 @@ def length_words(records: xr.Dataset) -> str:
             "widens the intervals"
         )
     low, high = _ends(report["length_scale"], report["log_sd"])
+    if "noise_length_scale" in report:
+        if not report["contradicts"]:
+            return ""
+        return (
+            f"noise was made for L = {report['noise_length_scale']:.0f} m, the records' spectra say "
+            f"{report['length_scale']:.0f} ({low:.0f} to {high:.0f}): where the data decide, 90 % intervals hold about "
+            f"{100.0 * report['coverage']:.0f} %"
+        )
     own = float(np.median(records["length_scale_log_sd"].values))
     return (
         f"length scale from the spectra of {report['n_told']} of {report['n_record']} records: "
