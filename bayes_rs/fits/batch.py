@@ -226,7 +226,6 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
             batch.yaw,
             _own_flow(noise.bank, batch, options.nuisances, float(factor)),
             batch.length_log_sd,
-            ensemble=options.target == "ensemble",
         )
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
@@ -261,7 +260,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     n_beam = batch.variance.shape[1]
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
     if predict:
-        full = _noise_of(noise.bank, batch, options, 1.0)
+        full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
         root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     values = posterior.nuisance_values(chains.coordinate.reshape(len(batch), -1, k))
@@ -283,7 +282,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
     parts: list[Likelihood] = []
     place = _place(batch, noise, options.nuisances)
     for factor in factors:
-        at_node = _noise_of(noise, batch, options, float(factor))
+        at_node = _noise_of(noise, batch, options.nuisances, float(factor))
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
@@ -325,11 +324,10 @@ def _sonic_noise(batch: Batch, noise: Noise, options: FitOptions) -> list[SonicN
     ]
 
 
-def _noise_of(noise: Noise, batch: Batch, options: FitOptions, factor: float) -> RecordNoise:
+def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
-    own = _own_flow(noise, batch, options.nuisances, factor)
-    ensemble = options.target == "ensemble"
-    return averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd, ensemble=ensemble)
+    own = _own_flow(noise, batch, nuisances, factor)
+    return averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd)
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:

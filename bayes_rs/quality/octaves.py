@@ -7,6 +7,7 @@ import numpy as np
 from bayes_rs._validation import FloatArray
 from bayes_rs.quality.samples import BoolArray, IntArray
 
+_SUMS = 8_000_000  # held at a time: 64 MB
 MOST_OCTAVES = 12
 """Octaves of a record at most: what is finer than 1/2048 of it is in the last."""
 
@@ -112,7 +113,7 @@ def record_octaves(
     """
     found = np.full((n_group, n_octave), np.nan)
     n_block = 2 ** (n_octave - 1)
-    step = max(8_000_000 // n_block, 1)  # groups at a time: 64 MB of sums
+    step = max(_SUMS // n_block, 1)  # groups at a time
     rows = np.flatnonzero(keep)
     edges = np.searchsorted(group[rows], np.arange(0, n_group + step, step))
     for number, first in enumerate(range(0, n_group, step)):
