@@ -85,7 +85,7 @@ def with_own_length_scale(
     pooled = pool_lengths(log_density, speed, median=median, log_sd=log_sd)
     told = log_density.max(axis=1) - np.minimum(log_density[:, 0], log_density[:, -1]) > _TELLS
     known = speed[np.isfinite(speed) & (speed > 0.0)]
-    report = {
+    report: dict[str, Any] = {
         "n_record": len(speed),
         "n_told": int(told.sum()),
         "length_scale": pooled.centre,
@@ -93,8 +93,10 @@ def with_own_length_scale(
         "spread": pooled.spread,
         "slope": pooled.slope,
         "wind_speed": float(np.exp(np.mean(np.log(known)))) if len(known) else None,
+        "own_log_sd": float(np.median(pooled.log_sd)),
         "prior": [median, log_sd],
     }
+    report["words"] = _in_words(report)
     return records.assign(
         length_scale=("record", pooled.length_scale, {"units": "m", "long_name": "length scale of the turbulence"}),
         length_scale_log_sd=("record", pooled.log_sd, {"units": "1", "long_name": "standard deviation of ln L"}),
@@ -133,6 +135,7 @@ def compared_length_scale(records: xr.Dataset, scan: Scan | str | Path, length_s
     report["contradicts"] = bool(centre > 2.0 * report["log_sd"] and centre > _HALF)
     if report["contradicts"]:
         report["coverage"] = _coverage(records, as_scan(scan), length_scale, report)
+    report["words"] = _in_words(report)
     return records.assign(
         spectral_length_scale=own["length_scale"],
         spectral_length_scale_log_sd=own["length_scale_log_sd"],
@@ -153,16 +156,11 @@ def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict
 
 
 def length_words(records: xr.Dataset) -> str:
-    """Say in one line which length scale records have, and where it comes from; empty if `REPORT` is missing."""
-    if REPORT not in records.attrs:
-        return ""
-    report: dict[str, Any] = json.loads(records.attrs[REPORT])
-    if report["n_told"] == 0:
-        low, high = _ends(report["prior"][0], report["prior"][1])
-        return (
-            f"length scale: the records do not tell it, so it is anything from {low:.0f} to {high:.0f} m (90 %), which "
-            "widens the intervals"
-        )
+    """Say in one line which length scale records have, and where it comes from; empty if there is nothing to say."""
+    return str(json.loads(records.attrs.get(REPORT, "{}")).get("words", ""))
+
+
+def _in_words(report: dict[str, Any]) -> str:
     low, high = _ends(report["length_scale"], report["log_sd"])
     if "noise_length_scale" in report:
         if not report["contradicts"]:
@@ -172,12 +170,17 @@ def length_words(records: xr.Dataset) -> str:
             f"{report['length_scale']:.0f} ({low:.0f} to {high:.0f}): where the data decide, 90 % intervals hold about "
             f"{100.0 * report['coverage']:.0f} %"
         )
-    own = float(np.median(records["length_scale_log_sd"].values))
+    if report["n_told"] == 0:
+        low, high = _ends(report["prior"][0], report["prior"][1])
+        return (
+            f"length scale: the records do not tell it, so it is anything from {low:.0f} to {high:.0f} m (90 %), which "
+            "widens the intervals"
+        )
     return (
         f"length scale from the spectra of {report['n_told']} of {report['n_record']} records: "
         f"{report['length_scale']:.0f} m ({low:.0f} to {high:.0f}) at {report['wind_speed']:.1f} m/s, different from "
         f"record to record by a factor {np.exp(report['spread']):.2g}; that of a record is known to a factor "
-        f"{np.exp(own):.2g} (one standard deviation)"
+        f"{np.exp(report['own_log_sd']):.2g} (one standard deviation)"
     )
 
 
