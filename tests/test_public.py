@@ -169,6 +169,7 @@ SUBJECTS = {
         "radial_spectra",
         "with_instrument_noise",
         "with_length_scale",
+        "with_own_length_scale",
     ],
     "turbulence": ["MannTurbulence", "cross_spectra", "fit", "load", "velocity_covariance"],
     "wind": [

@@ -156,7 +156,7 @@ class TestNoise:
         """Without noise, with that which `calibrate` makes for the records, and with its file: the same numbers."""
         made = brs.noise.calibrate("2-beam", "fu-2022", records=records)
         made.save(tmp_path / "noise.nc")
-        scan, own = brs.load_scan("2-beam"), brs.fit(records, "2-beam", **SMALL)
+        scan, own = brs.load_scan("2-beam"), brs.fit(records, "2-beam", turbulence="fu-2022", **SMALL)
         for noise in (made, tmp_path / "noise.nc", str(tmp_path / "noise.nc")):
             found = brs.fit(records, scan, noise=noise, **SMALL)
             for name in ("summary", "posterior", "draws", "predicted"):

@@ -85,7 +85,7 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
     settings = settings_of((), {"scan": scan, **options})
     made = make_plan(
         settings.scan.load(),
-        load_turbulence(settings.noise.turbulence),
+        load_turbulence(settings.noise.flow),
         wind_speed=wind_speed,
         duration=settings.records.duration,
         prior=settings.fit.prior,
@@ -156,7 +156,7 @@ def calibrate(
     with output_file(output, overwrite=overwrite) as part:
         noise = run_calibration(
             settings.scan.load(),
-            settings.noise.turbulence,
+            settings.noise.flow,
             wind_speed=list(wind_speed),
             yaw_deg=list(noise_yaw) or None,
             duration=settings.records.duration,

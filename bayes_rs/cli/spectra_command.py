@@ -69,7 +69,7 @@ def spectra(
         made,
         scan,
         output,
-        turbulence=settings.noise.turbulence,
+        turbulence=settings.noise.flow,
         length_scale_prior=length_scale_prior,
         instrument_noise=instrument_noise,
         instrument_noise_sd=floor_sd,

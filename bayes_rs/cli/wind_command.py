@@ -59,7 +59,7 @@ def wind(
         refuse_given(("law",), "it is of the profile, which is fitted where --hub-height is given: add that.")
     with output_file(output, overwrite=overwrite) as part:
         made, scan = records_and_scan(settings)
-        flow = load_turbulence(settings.noise.turbulence)
+        flow = load_turbulence(settings.noise.flow)
         found = mean_wind(made, scan, turbulence=flow, heading_deg=heading_deg)
         names = ["wind_speed", "wind_speed_sd", "yaw", "yaw_sd", *(["wind_direction"] * ("wind_direction" in found))]
         table = found[names].to_dataframe()[names]

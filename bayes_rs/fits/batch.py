@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.uncertain_length import averaged_noise, averaged_reduced
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
@@ -52,6 +53,8 @@ class Batch:
         Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
     scatter : ndarray, shape (n_record, 2), optional
         Relative variance of a record's variances beyond theory: what all beams share, and each beam's own.
+    length_log_sd : ndarray, shape (n_record,), optional
+        Standard deviations of the records' own ln L, which their noise is averaged over.
     """
 
     variance: FloatArray
@@ -64,6 +67,7 @@ class Batch:
     instrument_noise: FloatArray | None = None
     yaw_sd: FloatArray | None = None
     scatter: FloatArray | None = None
+    length_log_sd: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -82,6 +86,7 @@ class Batch:
             None if self.instrument_noise is None else self.instrument_noise[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
             None if self.scatter is None else self.scatter[records],
+            None if self.length_log_sd is None else self.length_log_sd[records],
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
@@ -216,8 +221,12 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     parts: list[Likelihood] = []
     place = _place(batch, noise.bank, options.nuisances)
     for factor in factors:
-        at_node = noise.for_records(
-            batch.wind_speed, batch.yaw, **_own_flow(noise.bank, batch, options.nuisances, float(factor))
+        at_node = averaged_reduced(
+            noise,
+            batch.wind_speed,
+            batch.yaw,
+            _own_flow(noise.bank, batch, options.nuisances, float(factor)),
+            batch.length_log_sd,
         )
         if batch.scatter is not None:
             at_node = scattered_reduced(at_node, noise.left, batch.scatter)
@@ -325,14 +334,15 @@ def noise_at_median(batch: Batch, noise: Noise, nuisances: Nuisances) -> RecordN
 
 def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> RecordNoise:
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
-    found = noise.for_records(batch.wind_speed, batch.yaw, **_own_flow(noise, batch, nuisances, factor))
+    own = _own_flow(noise, batch, nuisances, factor)
+    found = averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd)
     return found if batch.scatter is None else scattered(found, batch.scatter)
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:
     """Return the length scale and Γ of records, where they have their own."""
     own = dict(batch.flow)
-    if nuisances.length_scale_log_sd > 0.0:
+    if nuisances.length_scale_sd > 0.0:
         if np.ptp(np.log(noise.length_scale)) == 0.0:
             raise InputError(
                 "The noise knows one length scale only, so it cannot be averaged over others: make it with "

@@ -28,6 +28,10 @@ SCATTERS = ("records", "theory")
 """What says how much variances scatter."""
 DRAWS = ("auto", "none", "float32", "float64")
 """What is kept of the draws."""
+OWN_TURBULENCE = "records"
+"""Name of the turbulence that the records themselves have."""
+USUAL_TURBULENCE = "fu-2022"
+"""The turbulence where nothing is known of it."""
 MOST_KEPT = 2000
 """Records up to which ``draws="auto"`` keeps the draws: about 0.1 MB each."""
 
@@ -175,11 +179,22 @@ class NoiseOptions:
 
     noise: str | None = option(None, "Noise file; by default the noise is made for the records' winds", metavar="FILE")
     turbulence: str = option(
-        "fu-2022",
-        "Turbulence that the noise is made for: a name or a TOML file",
+        OWN_TURBULENCE,
+        "Turbulence that the noise is made for: a name or a TOML file; records is the records' own, with the length "
+        "scale that their spectra give, and its uncertainty",
         choices="bayes_rs.models:TURBULENCES",
         open=True,
     )
+
+    @property
+    def of_records(self) -> bool:
+        """Whether the length scale is the records' own."""
+        return isinstance(self.turbulence, str) and self.turbulence == OWN_TURBULENCE
+
+    @property
+    def flow(self) -> str:
+        """The turbulence, where one is needed: of the records' own, all but the length scale is that of this one."""
+        return USUAL_TURBULENCE if self.of_records else self.turbulence
 
 
 def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]:

@@ -147,11 +147,11 @@ def with_median_length_scale(
     """Return options whose uncertain length scale has a median: that of the turbulence, if no one says another."""
     uncertain = options.nuisances
     known = uncertain.length_scale is not None or "length_scale" in records
-    if uncertain.length_scale_log_sd == 0.0 or known or noise is not None:
+    if uncertain.length_scale_sd == 0.0 or known or noise is not None or choice.of_records:
         return options
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - seldom needed
 
-    median = load_turbulence(choice.turbulence).length_scale
+    median = load_turbulence(choice.flow).length_scale
     return replace(options, nuisances=replace(uncertain, length_scale=median))
 
 

@@ -25,6 +25,7 @@ FLAGS: dict[str, int] = {
     "cut_off": 65536,
     "beams_disagree": 16384,
     "unsteady": 8192,
+    "other_length_scale": 32768,
 }
 """Bits of a record's flag."""
 
@@ -50,6 +51,8 @@ FLAG_MEANINGS = {
     "cut_off": "the data begin or end within the record, so that no beam has enough samples; not fitted",
     "beams_disagree": "beams disagree with each other by more than any flow explains",
     "unsteady": "the wind changes as by a front or a trend, which adds to the stresses",
+    "other_length_scale": "the noise was made for another length scale than the record's spectra say: its intervals "
+    "may be too narrow or too wide",
 }
 """What each flag means, in short; docs/diagnostics.md says what to do."""
 FAILURES = (
@@ -95,6 +98,8 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
     flag[usable.any(axis=1) & ~usable.all(axis=1)] |= FLAGS["beam_left_out"]
     unfitted = np.setdiff1d(np.flatnonzero(usable.any(axis=1)), fitted)
     flag[unfitted] |= FLAGS["no_wind"]
+    if "other_length_scale" in records:
+        flag[records["other_length_scale"].values != 0] |= FLAGS["other_length_scale"]
     if "record_flag" in records:
         meanings = str(records["record_flag"].attrs.get("flag_meanings", "")).split()
         masks = np.atleast_1d(records["record_flag"].attrs.get("flag_masks", []))

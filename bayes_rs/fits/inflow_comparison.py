@@ -169,7 +169,7 @@ def compare_inflow(
             "The nuisances have no gradient, so there is nothing to compare: give Nuisances a vertical_gradient_sd or "
             "a lateral_gradient_sd, such as 0.5."
         )
-    if nuisances.length_scale_log_sd > 0.0:
+    if nuisances.length_scale_sd > 0.0:
         raise InputError(
             "Inflows cannot be compared while the length scale is uncertain: set length_scale_log_sd to 0."
         )

@@ -12,12 +12,26 @@ import xarray as xr
 from bayes_rs.errors import InputError
 from bayes_rs.fits.block_checks import with_block_checks
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.uncertain_length import length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.wind.mean_vector import mean_wind
 
+NET_LENGTHS = (10.0, 320.0)
+"""Length scales, m, that noise reaches over for records whose own is uncertain; beyond, it is that of the ends."""
+OWN_TOLERANCE = 0.02
+"""Largest relative error of K in a net over the length scales of records: it moves intervals by 1 %."""
+LENGTH_REPORT = "length_scale_report"
+"""Attribute of records whose length scale is that of their spectra."""
+_OF_SPECTRA = (
+    "length_scale",
+    "length_scale_log_sd",
+    "spectral_length_scale",
+    "spectral_length_scale_log_sd",
+    "other_length_scale",
+)
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
 
@@ -51,12 +65,34 @@ def noise_and_records(
     say : callable
         Takes lines that tell what was done.
     """
+    fixed = not choice.of_records if noise is None else bool(np.ptp(noise.length_scale) == 0.0)
+    if fixed and LENGTH_REPORT in records.attrs:  # what another fit found of these records is not what is asked for
+        records = records.drop_vars(_OF_SPECTRA, errors="ignore").copy()
+        del records.attrs[LENGTH_REPORT]
+    if _needs_own_lengths(records, noise, options, choice):
+        from bayes_rs.spectra.record_lengths import length_words, with_own_length_scale  # noqa: PLC0415 - as below
+
+        records = with_own_length_scale(records, scan)
+        say(length_words(records))
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
+    if "length_scale" not in records and np.ptp(noise.length_scale) == 0.0 and "octave_variance" in records:
+        from bayes_rs.spectra.record_lengths import compared_length_scale, length_words  # noqa: PLC0415 - as below
+
+        records = compared_length_scale(records, scan, float(noise.length_scale[0]))
+        if words := length_words(records):
+            say(words)
     if words := about_probe(noise, records):
         say(words)
     records = with_block_checks(records, scan, noise, options, say)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
+
+
+def _needs_own_lengths(records: xr.Dataset, noise: Noise | None, options: FitOptions, choice: NoiseOptions) -> bool:
+    """Tell whether records are to get the length scale of their spectra: where they and the user say none."""
+    if not choice.of_records or "length_scale" in records or options.nuisances.length_scale is not None:
+        return False
+    return noise is None or len(np.unique(noise.length_scale)) > 1
 
 
 def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say) -> Noise:
@@ -64,10 +100,11 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
 
     noise = calibrate(
         scan,
-        choice.turbulence,
+        choice.flow,
         records=records,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
+        tolerance=OWN_TOLERANCE if LENGTH_REPORT in records.attrs else None,
     )
     say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
     return noise
@@ -82,10 +119,13 @@ def about_probe(noise: Noise, records: xr.Dataset) -> str:
 
 def _length_scales(records: xr.Dataset, nuisances: Nuisances) -> list[float] | None:
     """Return the shortest and longest L that the noise must know; None if it is that of the turbulence."""
-    if nuisances.length_scale_log_sd == 0.0:
+    if nuisances.length_scale_sd == 0.0:
         own = np.asarray(records.get("length_scale", xr.DataArray([])).values, dtype=np.float64)
-        own = own[np.isfinite(own)]
-        return [float(own.min()), float(own.max())] if len(own) else None
+        known = np.isfinite(own)
+        if nuisances.length_scale_sd_of_records and "length_scale_log_sd" in records and known.any():
+            log_sd = np.nan_to_num(records["length_scale_log_sd"].values)
+            return [float(np.clip(end, *NET_LENGTHS)) for end in length_range(own[known], log_sd[known])]
+        return [float(own[known].min()), float(own[known].max())] if known.any() else None
     median = records.get("length_scale") if nuisances.length_scale is None else xr.DataArray(nuisances.length_scale)
     if median is None:
         return None  # not certain, but its median is not known: the fit says so

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -137,6 +138,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "prior": prior.in_words(),
         "prior_name": prior.name,
         "prior_widths": [float(width) for width in prior.interval_widths(options.prob)],
+        "length_scale": json.loads(records.attrs.get("length_scale_report", "null")),
         "nuisances": options.nuisances.in_words(),
         "nuisance_names": list(options.nuisances.names),
         "doubts": doubt_lines(records),

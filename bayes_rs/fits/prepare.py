@@ -53,6 +53,8 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
         batch = replace(batch, scatter=np.stack(both, axis=-1).astype(np.float64))
+    if uncertain.length_scale_sd_of_records and {"length_scale", "length_scale_log_sd"} <= set(records):
+        batch = replace(batch, length_log_sd=_own_length_log_sd(records))
     if uncertain.yaw_sd_of_records:
         batch = replace(batch, yaw_sd=_own_yaw_sd(records, can_be_fitted(batch), uncertain.yaw_sd_missing_deg))
     return scan, noise, batch
@@ -131,6 +133,12 @@ def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: flo
             "zero or above; give yaw_sd_missing_deg (--yaw-sd-missing) for these, or one yaw_sd_deg (--yaw-sd) for all."
         )
     return own
+
+
+def _own_length_log_sd(records: xr.Dataset) -> FloatArray:
+    """Return how uncertain the records say that ln L is, shape (n_record,); 0 where they do not."""
+    own = np.asarray(records["length_scale_log_sd"].values, dtype=np.float64)
+    return np.where(np.isfinite(own) & (own > 0.0), own, 0.0)
 
 
 def _check_duration(records: xr.Dataset, noise: Noise) -> None:

@@ -237,7 +237,7 @@ class Settings:
 
     def input_files(self) -> list[str]:
         """Return the files that the settings name and that are there: what is read, and may not lie in the output."""
-        named = [*self.files.files, *self.records.motion, self.noise.noise, self.noise.turbulence, self.scan.scan]
+        named = [*self.files.files, *self.records.motion, self.noise.noise, self.noise.flow, self.scan.scan]
         return [str(name) for name in named if name is not None and Path(name).exists()]
 
     def with_whole_paths(self) -> Settings:

@@ -81,9 +81,11 @@ class Nuisances:
         "Standard deviation of the logarithm of the instrument's noise variance, whose median is the instrument noise",
         flag="--instrument-noise-sd",
     )
-    length_scale_log_sd: float = option(
-        0.0,
-        "Standard deviation of the logarithm of the turbulence's length scale; the noise must span several",
+    length_scale_log_sd: float | str = option(
+        "records",
+        "Standard deviation of the logarithm of the turbulence's length scale, where the noise spans several; records "
+        "is each record's own, as its spectra give it, and 0 where it has none",
+        choices=("records",),
         flag="--length-scale-sd",
     )
     length_scale: float | None = option(
@@ -106,6 +108,10 @@ class Nuisances:
             check_choice(self.yaw_sd_deg, ("records",), what="yaw_sd_deg")
         else:
             check_non_negative(self.yaw_sd_deg, what="yaw_sd_deg", unit="°", where="the nuisances")
+        if isinstance(self.length_scale_log_sd, str):
+            check_choice(self.length_scale_log_sd, ("records",), what="length_scale_log_sd")
+        else:
+            check_non_negative(self.length_scale_log_sd, what="length_scale_log_sd", unit="", where="the nuisances")
         if self.yaw_sd_missing_deg is not None:
             check_non_negative(self.yaw_sd_missing_deg, what="yaw_sd_missing_deg", unit="°", where="the nuisances")
             if not self.yaw_sd_of_records:
@@ -116,16 +122,16 @@ class Nuisances:
         for name, unit in (
             ("tilt_sd_deg", "°"),
             ("instrument_noise_log_sd", ""),
-            ("length_scale_log_sd", ""),
             ("vertical_gradient_sd", "per 100 m"),
             ("lateral_gradient_sd", "per 100 m"),
         ):
             check_non_negative(getattr(self, name), what=name, unit=unit, where="the nuisances")
         if self.length_scale is not None:
             check_positive(self.length_scale, what="length_scale", unit="m", where="the nuisances")
-            if self.length_scale_log_sd == 0.0:
+            if self.length_scale_sd == 0.0:
                 raise InputError(
-                    f"Invalid length_scale {self.length_scale:g} m with length_scale_log_sd 0: it is the median of an "
+                    f"Invalid length_scale {self.length_scale:g} m with length_scale_log_sd "
+                    f"{self.length_scale_log_sd}: it is the median of an "
                     "uncertain length scale; say how uncertain it is (--length-scale-sd), or leave it out."
                 )
         check_positive(self.inflation, what="inflation", unit="", where="the nuisances")
@@ -149,6 +155,16 @@ class Nuisances:
     def yaw_sd_of_records(self) -> bool:
         """Whether each record says itself how uncertain its wind direction is."""
         return isinstance(self.yaw_sd_deg, str)
+
+    @property
+    def length_scale_sd(self) -> float:
+        """Standard deviation of ln L that all records share; 0 where each record says its own."""
+        return 0.0 if isinstance(self.length_scale_log_sd, str) else float(self.length_scale_log_sd)
+
+    @property
+    def length_scale_sd_of_records(self) -> bool:
+        """Whether each record says itself how uncertain its length scale is."""
+        return isinstance(self.length_scale_log_sd, str)
 
     @property
     def _gradient_sd(self) -> dict[str, float]:
@@ -190,8 +206,8 @@ class Nuisances:
         for name, width in self._gradient_sd.items():
             if width:
                 parts.append(f"{name.replace('_', ' ')} of ln R ± {width:g} per {GRADIENT_LENGTH:g} m")
-        if self.length_scale_log_sd:
-            parts.append(f"length scale within a factor {np.exp(self.length_scale_log_sd):.2g}")
+        if self.length_scale_sd:
+            parts.append(f"length scale within a factor {np.exp(self.length_scale_sd):.2g}")
         if self.inflation != 1.0:
             parts.append(f"noise inflated by {self.inflation:g}")
         if np.isfinite(self.inflation_dof):
@@ -205,10 +221,10 @@ class Nuisances:
 
     def length_scale_nodes(self) -> tuple[FloatArray, FloatArray]:
         """Return factors of L and their weights, each shape (n_node,); one node of weight 1 where L is known."""
-        if self.length_scale_log_sd == 0.0:
+        if self.length_scale_sd == 0.0:
             return np.ones(1), np.ones(1)
         node, weight = np.polynomial.hermite_e.hermegauss(N_LENGTH_NODE)
-        return np.exp(self.length_scale_log_sd * node), np.asarray(weight / weight.sum())
+        return np.exp(self.length_scale_sd * node), np.asarray(weight / weight.sum())
 
 
 UNITS = {

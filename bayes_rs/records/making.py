@@ -18,6 +18,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.filtering import Filtered, apply_filters
 from bayes_rs.quality.groups import group_moments
+from bayes_rs.quality.octaves import octave_count, record_octaves
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.records.beam_wind import wind_of_beams
@@ -32,6 +33,8 @@ from bayes_rs.records.windows import is_touched
 
 _FROM_SERIES = ("source_files", "read_report", "velocity_limit")
 """Attributes that records have from their series."""
+OCTAVES = "octave_variance"
+"""Variable that holds the octaves of the variances."""
 _TOLD = ("status_valid", "cnr_range", "despike", "despike_window", "despike_threshold")
 """Rules that the report names beside all of them."""
 
@@ -66,7 +69,9 @@ def make_records(
         ``first_sample`` and ``last_sample`` (record) are those of any beam, s after the start. ``flag`` is zero for a
         beam to be used; a flagged beam keeps its numbers where they exist. ``attrs["records_report"]`` counts in JSON
         what was dropped. Checks of `quality` add their numbers: ``trend`` (m/s), ``trend_p_value``, ``sub_variance``,
-        ``half_ratio`` (record, beam). What the parts of a record tell of its steadiness and of the
+        ``half_ratio`` (record, beam). ``octave_variance`` (record, beam, octave), m² s⁻², is what
+        halves, quarters, … down to the samples add to the variance (`bayes_rs.quality.octaves`): it tells the length
+        scale. What the parts of a record tell of its steadiness and of the
         scatter of its variance stands in ``part_beams`` (record), ``part_wind``, ``part_wind_across`` (record, part),
         ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``.
 
@@ -134,6 +139,7 @@ def make_records(
         block_statistics(samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0)
     )
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
+    records = _with_octaves(records, samples, filtered, chosen.window, octave_count(chosen.expected(of_scan)))
     records = with_cut_off(_with_span(records, samples, chosen), of_scan, chosen)
     report = {
         **samples_report(came, filtered, int(series.sizes["sample"])),
@@ -266,6 +272,18 @@ def with_cut_off(records: xr.Dataset, scan: Scan, chosen: RecordOptions) -> xr.D
     few = BEAM_FLAGS["too_few_samples"] | BEAM_FLAGS["all_missing"] | BEAM_FLAGS["no_samples"]
     flag[touched[:, np.newaxis] & ((flag & few) != 0)] |= BEAM_FLAGS["cut_off"]
     return records
+
+
+def _with_octaves(
+    records: xr.Dataset, samples: BeamSamples, filtered: Filtered, window: int, n_octave: int
+) -> xr.Dataset:
+    """Return the records with what each octave of averaging time adds to their variances."""
+    energy = record_octaves(
+        samples.velocity, samples.group, samples.time, filtered.keep, samples.n_group, window, n_octave
+    )
+    by_record = energy.reshape(len(samples.numbers), samples.n_record, n_octave).swapaxes(0, 1)
+    about = {"units": "m2 s-2", "long_name": "part of the variance by averaging time: halves, quarters, ... samples"}
+    return records.assign({OCTAVES: (("record", "beam", "octave"), by_record.astype(np.float32), about)})
 
 
 def _asked(chosen: RecordOptions, rules: QualityRules, scan: Scan) -> dict[str, Any]:

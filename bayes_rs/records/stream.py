@@ -249,8 +249,8 @@ def join_blocks(
     column = [np.argsort(beams)[of] for of in column]
     variables: dict[str, Any] = {}
     for name, template in blocks[0].data_vars.items():
-        both = template.dims == ("record", "beam")
-        shape = (n_record, len(beams)) if both else (n_record, *template.shape[1:])
+        both = template.dims[:2] == ("record", "beam")
+        shape = (n_record, len(beams), *template.shape[2:]) if both else (n_record, *template.shape[1:])
         values = np.full(shape, empty[name].values.ravel()[0], dtype=template.dtype)
         for block, row, of in zip(blocks, rows, column, strict=True):
             values[np.ix_(row, of) if both else row] = block[name].values

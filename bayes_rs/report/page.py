@@ -171,6 +171,8 @@ def _key_numbers(found: ReportData, scan: str) -> str:
     noise = found.run.get("noise")
     if isinstance(noise, dict) and "turbulence" in noise:
         entries.append(("Noise", f"{noise.get('method', '')}, {noise['turbulence']}"))
+    if words := (found.run.get("length_scale") or {}).get("words"):
+        entries.append(("Length scale", str(words).removeprefix("length scale ").removeprefix("length scale: ")))
     return pairs(entries, "key-numbers")
 
 

@@ -6,3 +6,4 @@ from .noise_estimate import estimate_instrument_noise as estimate_instrument_noi
 from .noise_estimate import with_instrument_noise as with_instrument_noise
 from .radial_spectrum import average_spectra as average_spectra
 from .radial_spectrum import radial_spectra as radial_spectra
+from .record_lengths import with_own_length_scale as with_own_length_scale
