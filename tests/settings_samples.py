@@ -102,6 +102,9 @@ SAMPLES = {
         "prob": one("--prob", 0.5),
         "derived": Sample(("tke", "ti"), ("--derived", "tke", "--derived", "ti")),
         "draws": one("--draws", "float32"),
+        "campaign": Sample("off", ("--no-campaign",)),
+        "campaign_group": one("--campaign-group", "hour"),
+        "campaign_unsteady": Sample(True, ("--campaign-unsteady",)),
     },
     "nuisances": {
         "yaw_sd_deg": one("--yaw-sd", 2.0),

@@ -1,4 +1,4 @@
-"""Names of the columns of the table ``posterior`` of a fit."""
+"""Names of tables of a fit, and of the columns of its table ``posterior``."""
 
 from __future__ import annotations
 
@@ -15,3 +15,5 @@ COVARIANCES = tuple(f"cov_{STRESSES[i]}_{STRESSES[j]}" for i, j in PAIRS)
 """Columns with the posterior covariances of the stresses, m⁴ s⁻⁴."""
 PER_RECORD = ("acceptance_rate", "n_step", "pareto_k", "misfit", "sonic_clipped")
 """Columns with one number a record; NaN where it was not fitted."""
+TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
+"""Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits import campaign_stage
+from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.parts import Done, Part, fit_part
@@ -31,6 +33,8 @@ from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
+from bayes_rs.priors.campaign import load_campaign_prior
+from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
@@ -44,7 +48,8 @@ PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
 MOST_CSV = 20_000
 """Records up to which the summary is written as CSV, too."""
-DATASETS = ("summary", "posterior", "draws", "predicted")
+DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY)
+"""The tables in parts."""
 
 
 def fit_into(
@@ -104,6 +109,8 @@ def fit_into(
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
+        tables = FolderTables(folder, int(run["part_records"]))
+        run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
     except BaseException as error:
         error.add_note(
             f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: the same call with "
@@ -168,6 +175,8 @@ class FolderTables:
     @cached_property
     def _names(self) -> dict[str, list[str]]:
         found = {dataset: part_names(self.folder, dataset) for dataset in DATASETS}
+        here = self.folder.names()
+        found |= {dataset: [name] for dataset, name in campaign_stage.TABLE_FILES.items() if name in here}
         return {dataset: names for dataset, names in found.items() if names}
 
     @property
@@ -180,6 +189,9 @@ class FolderTables:
     ) -> pd.DataFrame:
         """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
         names = self._names[dataset]
+        if dataset in campaign_stage.TABLE_FILES:
+            table = of_csv(self.folder.read(names[0]))
+            return table if columns is None else table[list(columns)]
         if records is not None and len(records):
             parts = {f"part-{index:06d}.parquet" for index in np.unique(records // self.part_records).tolist()}
             names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
@@ -204,13 +216,18 @@ class _InFolder:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))
         return np.column_stack([table[name].to_numpy() for name in STRESSES]).astype(np.float64)
 
+    def campaign_prior(self) -> Prior | None:
+        here = campaign_stage.PRIOR_FILE in self.folder.names()
+        return load_campaign_prior(self.folder.checked(campaign_stage.PRIOR_FILE)) if here else None
+
 
 def _only_of(plan: Plan, folder: ResultFolder) -> None:
     """Remove the parts of other data, of fewer files, and say whose parts come now."""
     mark = {"key": plan.key, "layout": LAYOUT}
     if not folder.damage(PLAN_FILE) and json.loads(folder.read(PLAN_FILE)) == mark:
         return
-    for name in (*(part for dataset in DATASETS for part in folder.names(f"{dataset}/")), PRIOR_FILE, RECORDS_FILE):
+    parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
+    for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
     folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
 
@@ -228,7 +245,7 @@ def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
 def _write_exports(folder: ResultFolder, found: Fit) -> None:
     """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
     if found.n_record <= MOST_CSV:
-        write = partial(write_csv, found.table("summary"), index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        write = partial(write_csv, found.export(), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
     if found.has_draws and found.n_record <= MOST_KEPT:
         folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))

@@ -26,6 +26,14 @@ TARGETS = {
 """Which R a fit is of, in words."""
 DRAWS = ("auto", "none", "float32", "float64")
 """What is kept of the draws."""
+CAMPAIGN = ("auto", "on", "off")
+"""Whether the records' common prior is learnt."""
+CAMPAIGN_FROM = 30
+"""Fitted, steady records from which on ``campaign="auto"`` learns their common prior."""
+CAMPAIGN_GROUPS = ("wind_speed", "direction", "hour")
+"""Classes of records that a campaign knows by itself; the others are variables of the records."""
+CAMPAIGN_PRIORS = ("weak", "ratio")
+"""Priors whose distribution over a campaign can be learnt."""
 MOST_KEPT = 2000
 """Records up to which ``draws="auto"`` keeps the draws: about 0.1 MB each."""
 
@@ -93,6 +101,20 @@ class FitOptions:
         f"What is kept of the draws; auto keeps them, in float64, for up to {MOST_KEPT} records",
         choices=DRAWS,
     )
+    campaign: str = option(
+        "auto",
+        f"Learn from all records which distribution their R come from, and fit each under that, too; auto does so from "
+        f"{CAMPAIGN_FROM} steady records on",
+        choices=CAMPAIGN,
+    )
+    campaign_group: str | None = option(
+        None,
+        "Classes of records that may differ within the campaign, such as sectors of wind direction; or the name of a "
+        "variable of the records",
+        choices=CAMPAIGN_GROUPS,
+        open=True,
+    )
+    campaign_unsteady: bool = option(False, "Let records that are not steady into the campaign, too")
 
     def __post_init__(self) -> None:
         """Check the options, one by one and together."""
@@ -123,7 +145,28 @@ class FitOptions:
                 f"Invalid likelihood {self.likelihood!r} for the target 'sonic': only for 'log-normal' is it known how "
                 "the sonic and the beams scatter together."
             )
-        _ = self.made_prior
+        self._check_campaign()
+
+    def _check_campaign(self) -> None:
+        """Refuse a campaign that is asked for and cannot be had, and options of one that is off."""
+        if isinstance(self.campaign, bool):
+            object.__setattr__(self, "campaign", "on" if self.campaign else "off")
+        check_choice(self.campaign, CAMPAIGN, what="campaign")
+        if self.campaign == "on" and self.no_campaign:
+            raise InputError(f"Invalid campaign 'on': {self.no_campaign}.")
+        if self.campaign == "off" and (self.campaign_group is not None or self.campaign_unsteady):
+            name = "campaign_unsteady" if self.campaign_group is None else "campaign_group"
+            raise InputError(f"Invalid {name} with campaign 'off': leave one of them out.")
+
+    @property
+    def no_campaign(self) -> str:
+        """Why there can be no campaign with these options, in a few words; empty if there can be one."""
+        if self.target == "sonic":
+            return "the tensors of a sonic scatter about R, and the distribution of R is what a campaign learns"
+        name = self.made_prior.name
+        if name not in CAMPAIGN_PRIORS:
+            return f"it is learnt in the coordinates of the prior weak or ratio, not of {name}"
+        return ""
 
     @cached_property
     def made_prior(self) -> Prior:
