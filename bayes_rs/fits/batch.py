@@ -90,7 +90,7 @@ class Batch:
 
     def prior(self, options: FitOptions) -> Prior:
         """Return the prior of these records."""
-        return options.made_prior.for_records(self.wind_speed, self.group)
+        return options.made_prior.for_records(self.wind_speed, None if self.group is None else self.group.tolist())
 
     def known_noise(self, options: FitOptions) -> FloatArray | float:
         """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""

@@ -12,16 +12,21 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.campaign import CampaignPosterior, campaign_table, choose_records, sample_campaign
-from bayes_rs.errors import NotPositiveDefiniteError
+from bayes_rs.campaign.record_choice import choose_records
+from bayes_rs.campaign.sampling import MOST_RECORDS, sample_campaign
+from bayes_rs.campaign.table import campaign_table
+from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch, make_posterior
 from bayes_rs.fits.campaign_records import CampaignRecords
 from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
+from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_options import FitOptions
-from bayes_rs.fits.parts import Done, Part, Shared, batch_size, fit_part
+from bayes_rs.fits.parts import FAILED, Done, Part, Shared, batch_size, fit_part
+from bayes_rs.likelihoods.base import Likelihood
 from bayes_rs.likelihoods.joining import join_likelihoods
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv
+from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.campaign import CampaignPrior
 
@@ -83,45 +88,67 @@ def job_of(parts: Sequence[Part], chosen: CampaignRecords, mean: FloatArray) -> 
 
 def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
     """Sample the campaign."""
-    options = shared.options
-    wind_speed, group = job.batch.wind_speed, job.batch.group
-    some = choose_records(wind_speed[job.record], job.time[job.record], seed=options.seed)
-    rows, posterior = campaign_posterior(job.batch, job.record[some], shared.noise, options)
-    found: CampaignPosterior = sample_campaign(
-        posterior, wind_speed[rows], group=None if group is None else group[rows], seed=options.seed
+    options, batch = shared.options, job.batch.take(job.record)
+    chosen = choose_records(batch.wind_speed, MOST_RECORDS, options.seed)
+    known, posterior = campaign_posterior(batch.take(chosen), shared.noise, options)
+    chosen = chosen[known]
+    found = sample_campaign(
+        posterior,
+        batch.wind_speed[chosen],
+        group=None if batch.group is None else batch.group[chosen].tolist(),
+        seed=options.seed,
     )
-    table = campaign_table(found, wind_speed[job.record], mean=job.mean[job.record], prob=options.prob)
-    about = {"on": True, "n_record": len(job.record), "n_sampled": len(rows), **found.about}
+    table = campaign_table(
+        found,
+        prob=options.prob,
+        wind_speed=batch.wind_speed,
+        stress_mean=job.mean[job.record],
+        chosen=chosen,
+        seed=options.seed,
+    )
+    about = {
+        "on": True,
+        "n_record": len(batch),
+        "n_sampled": len(chosen),
+        "n_sweep": int(found.n_sweep),
+        "acceptance": {name: round(float(share), 4) for name, share in found.acceptance.items()},
+        "ess": round(float(found.ess), 1),
+        "r_hat": round(float(found.r_hat), 4),
+        "converged": bool(found.converged),
+        "prior": found.prior.in_words(),
+        "prior_key": digest(found.prior),
+    }
     return CampaignDone({TABLE: as_read(table), HYPER: as_read(found.hyper)}, found.prior, about)
 
 
-def campaign_posterior(
-    batch: Batch, rows: NDArray[np.int64], noise: Noise, options: FitOptions
-) -> tuple[NDArray[np.int64], Posterior]:
-    """Return the joint posterior of some records of a batch, and which they are: those whose likelihood there is."""
+def campaign_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[NDArray[np.int64], Posterior]:
+    """Return the posterior of all records of a batch whose likelihood can be calculated, and which these are.
+
+    It is made some records at a time: the covariances of many beams take memory, the likelihood that is made of them
+    takes little.
+    """
     size = batch_size(batch.variance.shape[1])
-    found: list[tuple[NDArray[np.int64], Posterior]] = []
+    rows = np.arange(len(batch))
+    found: list[tuple[NDArray[np.int64], Likelihood]] = []
     for first in range(0, len(rows), size):
-        found += _posteriors(batch, rows[first : first + size], noise, options)
-    used = np.concatenate([some for some, _ in found])
-    likelihood = join_likelihoods([posterior.likelihood for _, posterior in found])
-    # the nuisances are those of all the records at once: they hold no more than their numbers
-    from bayes_rs.posteriors.nuisance import RecordNuisances
-
-    some = batch.take(used)
+        found += _likelihoods(batch, rows[first : first + size], noise, options)
+    if not found:
+        raise InputError("No campaign is possible: the likelihood of no record can be calculated.")
+    known = np.concatenate([some for some, _ in found])
+    some = batch.take(known)
     nuisances = RecordNuisances(options.nuisances, some.yaw, some.median_noise(options), some.yaw_sd)
-    return used, Posterior(likelihood, options.made_prior, nuisances)
+    return known, Posterior(join_likelihoods([likelihood for _, likelihood in found]), some.prior(options), nuisances)
 
 
-def _posteriors(
+def _likelihoods(
     batch: Batch, rows: NDArray[np.int64], noise: Noise, options: FitOptions
-) -> list[tuple[NDArray[np.int64], Posterior]]:
+) -> list[tuple[NDArray[np.int64], Likelihood]]:
     try:
-        return [(rows, make_posterior(batch.take(rows), noise, options)[0])]
-    except (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError):
+        return [(rows, make_posterior(batch.take(rows), noise, options)[0].likelihood)]
+    except FAILED:
         if len(rows) == 1:
             return []
-    return [one for half in np.array_split(rows, 2) for one in _posteriors(batch, half, noise, options)]
+    return [one for half in np.array_split(rows, 2) for one in _likelihoods(batch, half, noise, options)]
 
 
 def under_campaign(shared: Shared, prior: CampaignPrior) -> Shared:

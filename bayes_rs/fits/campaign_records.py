@@ -56,7 +56,8 @@ def campaign_records(flag: NDArray[np.int64], options: FitOptions) -> CampaignRe
     out = UNFITTED | int(np.bitwise_or.reduce([FLAGS.get(name, 0) for name in names]))
     record = np.flatnonzero((flag & out) == 0).astype(np.int64)
     if options.campaign == "auto" and len(record) < CAMPAIGN_FROM:
-        return CampaignRecords(none, f"{len(record)} records are fitted and steady, and it begins at {CAMPAIGN_FROM}")
+        counts = f"{len(record)} of {len(flag)} records"
+        return CampaignRecords(none, f"{counts} can enter (fitted, steady, not flagged), and it begins at {CAMPAIGN_FROM}")
     if len(record) == 0:
-        return CampaignRecords(none, "no record is fitted and steady")
+        return CampaignRecords(none, f"none of {len(flag)} records can enter (fitted, steady, not flagged)")
     return CampaignRecords(record)

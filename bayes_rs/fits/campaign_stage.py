@@ -50,9 +50,7 @@ class Crew:
     client: Any = None
     silent: bool | None = None
 
-    def fit(
-        self, plan: Plan, prior: CampaignPrior, parts: list[Part], *, initial: int = 0
-    ) -> Iterator[Done]:
+    def fit(self, plan: Plan, prior: CampaignPrior, parts: list[Part], *, initial: int = 0) -> Iterator[Done]:
         """Fit parts under a learnt prior; they come in the order in which they are done."""
         shared = under_campaign(plan.shared, prior)
         counter = progress_counter(
@@ -81,7 +79,7 @@ def campaign_in_memory(plan: Plan, tables: dict[str, pd.DataFrame], crew: Crew) 
     found = _learn(plan, chosen, _means(tables["summary"]))
     finished = sorted(crew.fit(plan, found.prior, plan.parts), key=lambda done: done.index)
     summary = pd.concat([done.tables[SUMMARY] for done in finished], ignore_index=True)
-    return Campaign(found.about, {**found.tables, SUMMARY: summary}, found.prior)
+    return Campaign(found.about, {SUMMARY: summary, **found.tables}, found.prior)
 
 
 def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.DataFrame], crew: Crew) -> Campaign:

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits import campaign_stage
+from bayes_rs.fits.campaign_job import of_csv
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
+from bayes_rs.fits.columns import SUMMARY
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.parts import Done, Part, fit_part

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
-from bayes_rs.fits.campaign_words import campaign_words, why_no_campaign
+from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
 from bayes_rs.fits.direction_table import direction_rows
 from bayes_rs.fits.fit_data import FitData
@@ -290,13 +290,13 @@ class Fit(FitData):
         lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], self.source.read("summary"))
         lines += least_seen(self.directions())
         if not self.has_campaign:
-            return [*lines, *why_no_campaign(self.run["campaign"])]
-        return [*lines, *campaign_words(self.run["campaign"], self.campaign(), self.campaign_hyper())]
+            return [*lines, *no_campaign_words(self.run["campaign"])]
+        return [*lines, *campaign_words(self.run["campaign"], self.campaign())]
 
     @property
     def failures(self) -> list[str]:
         """One line for each record that was not fitted or whose chain fell short; of many, the first ones."""
-        return failure_lines(self.flag, self.record_names)
+        return [*failure_lines(self.flag, self.record_names), *campaign_failures(self.run["campaign"])]
 
     @property
     def remarks(self) -> list[str]:

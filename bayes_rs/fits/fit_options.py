@@ -16,6 +16,7 @@ from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
 from bayes_rs.posteriors.sampling.effort import ESS_MARGIN, Effort
+from bayes_rs.priors.interface import LogRatioPrior
 from bayes_rs.priors.registry import Prior, make_prior
 
 TARGETS = {
@@ -164,7 +165,7 @@ class FitOptions:
         if self.target == "sonic":
             return "the tensors of a sonic scatter about R, and the distribution of R is what a campaign learns"
         name = self.made_prior.name
-        if name not in CAMPAIGN_PRIORS:
+        if name not in CAMPAIGN_PRIORS or not isinstance(self.made_prior, LogRatioPrior):
             return f"it is learnt in the coordinates of the prior weak or ratio, not of {name}"
         return ""
 
