@@ -57,7 +57,9 @@ def campaign_records(flag: NDArray[np.int64], options: FitOptions) -> CampaignRe
     record = np.flatnonzero((flag & out) == 0).astype(np.int64)
     if options.campaign == "auto" and len(record) < CAMPAIGN_FROM:
         counts = f"{len(record)} of {len(flag)} records"
-        return CampaignRecords(none, f"{counts} can enter (fitted, steady, not flagged), and it begins at {CAMPAIGN_FROM}")
+        return CampaignRecords(
+            none, f"{counts} can enter (fitted, steady, not flagged), and it begins at {CAMPAIGN_FROM}"
+        )
     if len(record) == 0:
         return CampaignRecords(none, f"none of {len(flag)} records can enter (fitted, steady, not flagged)")
     return CampaignRecords(record)

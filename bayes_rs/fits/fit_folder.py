@@ -35,7 +35,7 @@ from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
-from bayes_rs.priors.campaign import load_campaign_prior
+from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_check import check_netcdf
@@ -45,6 +45,8 @@ PRIOR_FILE = "prior.parquet"
 RECORDS_FILE = "records.nc"
 NOISE_FILE = "noise.nc"
 """The noise of a fit that was given one: with it and the records the folder repeats the fit."""
+GIVEN_PRIOR_FILE = "given-prior.toml"
+"""The prior of a fit that was given one from a file, for the same reason."""
 ARVIZ_FILE = "posterior.nc"
 PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
@@ -91,6 +93,10 @@ def fit_into(
     began = time.perf_counter()
     _only_of(plan, folder)
     run = {**plan.run, **(more or {})}
+    given_prior = plan.shared.options.made_prior
+    if isinstance(given_prior, CampaignPrior) and run["settings"]["fit"]["prior"] is not None:
+        of_fit = {**run["settings"]["fit"], "prior": f"campaign:{GIVEN_PRIOR_FILE}"}
+        run["settings"] = {**run["settings"], "fit": of_fit}
     folder.write_run(run)
     left = [part for part in plan.parts if any(folder.damage(name) for name in _names(plan, part))]
     n_resumed = n_done = plan.n_record - sum(len(part.batch) for part in left)
@@ -101,6 +107,8 @@ def fit_into(
             write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
         if noise is not None and folder.damage(NOISE_FILE):
             folder.write(NOISE_FILE, noise.save)
+        if isinstance(given_prior, CampaignPrior) and folder.damage(GIVEN_PRIOR_FILE):
+            folder.write(GIVEN_PRIOR_FILE, given_prior.save)
         if folder.damage(RECORDS_FILE):
             folder.write(RECORDS_FILE, partial(write_netcdf, plan.records))
         with (

@@ -67,7 +67,8 @@ class FitOptions:
     seed: int = option(1, "Seed; a record's draws depend on it and on the record's start, not on other records")
     prior: str | Prior = option(
         "weak",
-        "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, or in Python a prior",
+        "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, campaign:FILE for one that a campaign "
+        "has learnt, or in Python a prior",
         choices="bayes_rs.priors.registry:PRIORS",
         open=True,
     )
@@ -146,6 +147,7 @@ class FitOptions:
                 f"Invalid likelihood {self.likelihood!r} for the target 'sonic': only for 'log-normal' is it known how "
                 "the sonic and the beams scatter together."
             )
+        _ = self.made_prior
         self._check_campaign()
 
     def _check_campaign(self) -> None:
@@ -227,6 +229,18 @@ def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]
         FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
         NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),
     )
+
+
+def prior_file(prior: Any) -> str | None:
+    """Return the file of a prior ``"campaign:FILE"``; None for any other prior.
+
+    Examples
+    --------
+    >>> prior_file("campaign:mast/campaign-prior.toml"), prior_file("weak")
+    ('mast/campaign-prior.toml', None)
+    """
+    name, colon, file = prior.partition(":") if isinstance(prior, str) else ("", "", "")
+    return file.strip() if name == "campaign" and colon else None
 
 
 def check_prob(prob: float) -> float:

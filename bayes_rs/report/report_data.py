@@ -17,6 +17,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.summarizing import DIAGNOSTICS
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.report.campaign_section import CampaignShown, campaign_shown
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", "contraction", "contraction_shape", *DIAGNOSTICS)
 """Columns of the summary that the page shows."""
@@ -53,6 +54,8 @@ class ReportData:
         As from `Fit.directions`.
     sight, prior, target : str
         In words.
+    campaign : CampaignShown or str
+        The campaign, or why there is none.
     """
 
     run: dict[str, Any]
@@ -72,6 +75,7 @@ class ReportData:
     sight: str
     prior: str
     target: str
+    campaign: CampaignShown | str = ""
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
@@ -135,6 +139,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         sight=str(fit.run["sight"]),
         prior=str(fit.run["prior"]),
         target=str(own["target"]),
+        campaign=campaign_shown(fit),
     )
 
 
