@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from numpy.typing import NDArray
+from pyarrow import csv
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.record_choice import choose_records
@@ -30,6 +32,12 @@ from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.campaign import CampaignPrior
 
+_TEXTS = ("quantity", "bin", "name")
+_NUMBERS = (
+    *("mean", "low", "high", "prob", "decided", "ess", "r_hat"),
+    *("prior_mean", "prior_low", "prior_high"),
+)
+"""Columns of the tables, by what they hold: one that is empty has a type, too."""
 SAMPLER = "direct"
 """How records are sampled under the learnt prior, which makes their posteriors compact."""
 
@@ -194,7 +202,10 @@ def as_csv(table: pd.DataFrame) -> bytes:
 
 def of_csv(content: bytes) -> pd.DataFrame:
     """Return a table as it is read: every number as it was written."""
-    return pd.read_csv(io.BytesIO(content), float_precision="round_trip", keep_default_na=False, na_values=[""])
+    kinds = {**dict.fromkeys(_TEXTS, pa.string()), **dict.fromkeys(_NUMBERS, pa.float64()), "n_record": pa.int64()}
+    options = csv.ConvertOptions(column_types=kinds, null_values=[""], strings_can_be_null=False)
+    table: pd.DataFrame = csv.read_csv(pa.BufferReader(content), convert_options=options).to_pandas()
+    return table
 
 
 def as_read(table: pd.DataFrame) -> pd.DataFrame:

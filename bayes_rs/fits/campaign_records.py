@@ -55,11 +55,7 @@ def campaign_records(flag: NDArray[np.int64], options: FitOptions) -> CampaignRe
     names = KEPT_OUT if options.campaign_unsteady else (*KEPT_OUT, *UNSTEADY)
     out = UNFITTED | int(np.bitwise_or.reduce([FLAGS.get(name, 0) for name in names]))
     record = np.flatnonzero((flag & out) == 0).astype(np.int64)
+    counts = f"{len(record)} of {len(flag)} records can enter (fitted, steady, not flagged)"
     if options.campaign == "auto" and len(record) < CAMPAIGN_FROM:
-        counts = f"{len(record)} of {len(flag)} records"
-        return CampaignRecords(
-            none, f"{counts} can enter (fitted, steady, not flagged), and it begins at {CAMPAIGN_FROM}"
-        )
-    if len(record) == 0:
-        return CampaignRecords(none, f"none of {len(flag)} records can enter (fitted, steady, not flagged)")
-    return CampaignRecords(record)
+        return CampaignRecords(none, f"{counts}, and it begins at {CAMPAIGN_FROM}")
+    return CampaignRecords(record, "" if len(record) else counts)

@@ -38,7 +38,7 @@ TABLE_FILES = {TABLE: "campaign.csv", HYPER: "campaign-hyper.csv"}
 PRIOR_FILE = "campaign-prior.toml"
 """The prior that a campaign has learnt."""
 ABOUT_FILE = "campaign.json"
-"""What there is to say of a campaign, or why there is none. It is written last."""
+"""What there is to say of a campaign. It is written last."""
 FILES = (*TABLE_FILES.values(), PRIOR_FILE, ABOUT_FILE)
 
 
@@ -101,12 +101,13 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
     campaign : Campaign
         Without its tables, which are in the folder.
     """
-    if any(folder.damage(name) for name in (ABOUT_FILE, *_files_of(folder))):
-        _write(folder, _learnt_in_folder(plan, read))
-    about = json.loads(folder.read(ABOUT_FILE))
-    if not about["on"]:
-        return Campaign(about)
-    prior = load_campaign_prior(folder.checked(PRIOR_FILE))
+    flag = read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
+    chosen = campaign_records(flag, plan.shared.options)
+    if not len(chosen.record):
+        return Campaign(campaign_off(chosen))
+    if any(folder.damage(name) for name in FILES):
+        _write(folder, _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"]))))
+    about, prior = json.loads(folder.read(ABOUT_FILE)), load_campaign_prior(folder.checked(PRIOR_FILE))
     left = [part for part in plan.parts if any(folder.damage(name) for name, _ in _names(part))]
     of_index = {part.index: part for part in left}
     initial = plan.n_record - sum(len(part.batch) for part in left)
@@ -117,37 +118,20 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
     return Campaign(about, prior=prior)
 
 
-def _files_of(folder: ResultFolder) -> tuple[str, ...]:
-    """Return the files of the campaign that a folder has; none if it knows that there is no campaign."""
-    known = not folder.damage(ABOUT_FILE) and not json.loads(folder.read(ABOUT_FILE))["on"]
-    return () if known else (*TABLE_FILES.values(), PRIOR_FILE)
-
-
 def _names(part: Part) -> list[tuple[str, NDArray[np.bool_]]]:
     return names_of_part(SUMMARY, part.index, part.time)
 
 
-def _learnt_in_folder(plan: Plan, read: Callable[..., pd.DataFrame]) -> Campaign:
-    flag = read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
-    chosen = campaign_records(flag, plan.shared.options)
-    if not len(chosen.record):
-        return Campaign(campaign_off(chosen))
-    done = _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"])))
-    return Campaign(done.about, done.tables, done.prior)
-
-
-def _write(folder: ResultFolder, learnt: Campaign) -> None:
+def _write(folder: ResultFolder, learnt: CampaignDone) -> None:
     """Write what a campaign found, and remove what was fitted under another one's prior."""
-    about = dict(learnt.about)
     before = None if folder.damage(ABOUT_FILE) else json.loads(folder.read(ABOUT_FILE))
     for name, table in learnt.tables.items():
         folder.write_bytes(TABLE_FILES[name], as_csv(table))
-    if learnt.prior is not None:
-        folder.write(PRIOR_FILE, learnt.prior.save)
-    if before is None or before != about:
+    folder.write(PRIOR_FILE, learnt.prior.save)
+    if before != learnt.about:
         for name in folder.names(f"{SUMMARY}/"):
             folder.remove(name)
-    folder.write_text(ABOUT_FILE, json.dumps(about, indent=2, sort_keys=True) + "\n")
+    folder.write_text(ABOUT_FILE, json.dumps(learnt.about, indent=2, sort_keys=True) + "\n")
 
 
 def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray) -> CampaignDone:
