@@ -324,6 +324,8 @@ def _help(entry: Option, *, several: bool) -> str:
         text += f" ({', '.join(entry.choices)})"
     elif not about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
         text += f": {', '.join(entry.choices)}"
+    if entry.choices == SWITCH:
+        text += f"; {entry.flag}: on, --no-{entry.flag.removeprefix('--')}: off"
     default = entry.default
     has_default = default is not None and default is not False and default not in ((), {}, "")
     extra = "; ".join(
