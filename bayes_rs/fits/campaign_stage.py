@@ -76,7 +76,7 @@ def campaign_in_memory(plan: Plan, tables: dict[str, pd.DataFrame], crew: Crew) 
     chosen = campaign_records(tables["posterior"]["flag_bits"].to_numpy(dtype=np.int64), plan.shared.options)
     if not len(chosen.record):
         return Campaign(campaign_off(chosen))
-    found = _learn(plan, chosen, _means(tables["summary"]))
+    found = _learn(plan, chosen, _means(tables["summary"]), crew)
     finished = sorted(crew.fit(plan, found.prior, plan.parts), key=lambda done: done.index)
     summary = pd.concat([done.tables[SUMMARY] for done in finished], ignore_index=True)
     return Campaign(found.about, {SUMMARY: summary, **found.tables}, found.prior)
@@ -106,7 +106,7 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
     if not len(chosen.record):
         return Campaign(campaign_off(chosen))
     if any(folder.damage(name) for name in FILES):
-        _write(folder, _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"]))))
+        _write(folder, _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"])), crew))
     about, prior = json.loads(folder.read(ABOUT_FILE)), load_campaign_prior(folder.checked(PRIOR_FILE))
     left = [part for part in plan.parts if any(folder.damage(name) for name, _ in _names(part))]
     of_index = {part.index: part for part in left}
@@ -134,9 +134,11 @@ def _write(folder: ResultFolder, learnt: CampaignDone) -> None:
     folder.write_text(ABOUT_FILE, json.dumps(learnt.about, indent=2, sort_keys=True) + "\n")
 
 
-def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray) -> CampaignDone:
+def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray, crew: Crew) -> CampaignDone:
     job = job_of(plan.parts, chosen, mean)
-    (done,) = run_serial(learn_campaign, plan.shared, [job])  # one thread, as the parts: the same numbers everywhere
+    with progress_counter(1, "learning the campaign", " campaign", disable=crew.silent):
+        # with one thread, as the parts: the same numbers everywhere
+        (done,) = run_serial(learn_campaign, plan.shared, [job])
     return done
 
 

@@ -25,7 +25,7 @@ from bayes_rs.fits import campaign_stage
 from bayes_rs.fits.campaign_job import of_csv
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
 from bayes_rs.fits.columns import SUMMARY
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.plan import LAYOUT, Plan
@@ -255,7 +255,7 @@ def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
 def _write_exports(folder: ResultFolder, found: Fit) -> None:
     """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
     if found.n_record <= MOST_CSV:
-        write = partial(write_csv, found.export(), index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        write = partial(write_csv, exported_summary(found), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
     if found.has_draws and found.n_record <= MOST_KEPT:
         folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))

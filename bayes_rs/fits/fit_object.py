@@ -188,20 +188,6 @@ class Fit(FitData):
             raise InputError(f"This fit has no campaign: {why}.")
         return self.source.read(name, columns)
 
-    def export(self) -> pd.DataFrame:
-        """Return the summary with mean and interval under the campaign beside, as ``summary.csv`` holds it.
-
-        Returns
-        -------
-        table : DataFrame
-            The columns of `summary`, and ``campaign_mean``, ``campaign_low``, ``campaign_high``: the same stress under
-            the prior that the campaign has learnt; NaN where there is none.
-        """
-        table = self.source.read("summary")
-        there = self.source.read(SUMMARY, list(_BESIDE.values())) if self.has_campaign else None
-        beside = {ours: np.nan if there is None else there[theirs].to_numpy() for ours, theirs in _BESIDE.items()}
-        return table.assign(**beside)
-
     def directions(self) -> pd.DataFrame:
         """Tell for every record how much the posterior contracted along each direction of R.
 
@@ -302,3 +288,22 @@ class Fit(FitData):
     def remarks(self) -> list[str]:
         """One line for each flag that some record has: how many have it, and the first."""
         return flag_lines(self.flag, self.record_names)
+
+
+def exported_summary(fit: Fit) -> pd.DataFrame:
+    """Return the summary as ``summary.csv`` holds it, with what each row is under the campaign.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+
+    Returns
+    -------
+    table : DataFrame
+        The columns of `Fit.summary`, and ``campaign_mean``, ``campaign_low``, ``campaign_high``: the same stress under
+        the prior that the campaign has learnt; NaN where there is none.
+    """
+    there = fit.source.read(SUMMARY, list(_BESIDE.values())) if fit.has_campaign else None
+    beside = {ours: np.nan if there is None else there[theirs].to_numpy() for ours, theirs in _BESIDE.items()}
+    return fit.source.read("summary").assign(**beside)
