@@ -73,7 +73,7 @@ class TestSameSections:
     def test_they_hold_the_same(self, place, expected, draws):
         found, data = sections(place / draws)
         assert list(found) == list(expected[0])
-        assert len(found) == 8
+        assert len(found) == 9
         for name in ("read", "stresses", "contraction", "intensity", "shape", "diagnostics"):
             one, other = (re.sub(DRAWS, "", some[name]) for some in (found, expected[0]))
             assert one == other, name
