@@ -70,12 +70,12 @@ class Cells:
     @cached_property
     def in_bin(self) -> FloatArray:
         """Which cells are in which bin, shape (n_bin, n_cell), 0 or 1."""
-        return (np.arange(self.n_bin)[:, None] == self.bin_of).astype(np.float64)
+        return np.asarray(np.arange(self.n_bin)[:, None] == self.bin_of, dtype=np.float64)
 
     @cached_property
     def in_group(self) -> FloatArray:
         """Which cells are in which group, shape (n_group, n_cell), 0 or 1."""
-        return (np.arange(self.n_group)[:, None] == self.group_of).astype(np.float64)
+        return np.asarray(np.arange(self.n_group)[:, None] == self.group_of, dtype=np.float64)
 
     @cached_property
     def both_count(self) -> FloatArray:

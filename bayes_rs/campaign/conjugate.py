@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.cells import Cells
@@ -241,5 +240,3 @@ def _wishart_root(n: int, dof: float, rng: np.random.Generator) -> FloatArray:
     diagonal = np.sqrt(rng.chisquare(dof - np.arange(N_COORDINATE), (n, N_COORDINATE)))
     root[:, np.arange(N_COORDINATE), np.arange(N_COORDINATE)] = diagonal
     return np.asarray(root)
-
-

@@ -27,7 +27,8 @@ def log_density_of_scatter(scatter: FloatArray) -> FloatArray:
     """Return the log-density, up to a constant, of the records' covariance Σ, shape (n,), at Σ (n, 6, 6).
 
     Σ = diag(τ) C diag(τ) with τ uniform on (0, 1) and C of density |C|^(η − 1) (Lewandowski, Kurowicka and Joe 2009),
-    where Σ has no eigenvalue above `MOST_SCATTER`; with the Jacobian of Σ in τ and C that is |Σ|^(η − 1) Π Σ_ii^(1 − η − 6/2).
+    where Σ has no eigenvalue above `MOST_SCATTER`; with the Jacobian of Σ in τ and C
+    that is |Σ|^(η − 1) Π Σ_ii^(1 − η − 6/2).
     """
     eigenvalue = np.linalg.eigvalsh(scatter)
     inside = (eigenvalue[:, 0] > 0.0) & (eigenvalue[:, -1] < MOST_SCATTER)

@@ -56,7 +56,9 @@ def learnt_prior(base: LogRatioPrior, hyper: Hyper, cells: Cells) -> CampaignPri
     if cells.n_group > 1 or cells.names != ("",):
         share = group_root(hyper.group_share, cells.n_group)
         correlation = share @ share.swapaxes(-1, -2)
-        pull = (1.0 - hyper.group_share) * np.linalg.solve(correlation, np.ones((len(hyper), cells.n_group, 1)))[:, 0, 0]
+        pull = (1.0 - hyper.group_share) * np.linalg.solve(correlation, np.ones((len(hyper), cells.n_group, 1)))[
+            :, 0, 0
+        ]
         new = pull[:, None] * levels.sum(axis=1)
         entries = [one for one in entries if one[0]]
         entries.insert(0, ("", new, 1.0 - pull * cells.n_group * (1.0 - hyper.group_share), weight.sum(axis=0)))

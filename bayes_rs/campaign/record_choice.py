@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, as_generator, check_count
+from bayes_rs.campaign.cells import speed_bin
 
 
 def choose_records(wind_speed: FloatArray, most: int, seed: int | np.random.Generator) -> NDArray[np.int64]:
@@ -24,5 +25,21 @@ def choose_records(wind_speed: FloatArray, most: int, seed: int | np.random.Gene
     -------
     chosen : ndarray of int, shape (min(n_record, most),)
         Their places, rising. Every record has the same probability to be chosen.
+
+    Notes
+    -----
+    A systematic sample (Cochran 1977, Ch. 8) of the records sorted by bin of wind speed and, within a bin, by time:
+    steps of n_record/most from a random start.
+
+    References
+    ----------
+    Cochran (1977), Sampling Techniques, 3rd ed., Wiley.
     """
-    raise NotImplementedError
+    check_count(most, what="most")
+    n = len(wind_speed)
+    if n <= most:
+        return np.arange(n)
+    order = np.lexsort((np.arange(n), speed_bin(np.asarray(wind_speed, dtype=np.float64))))
+    start = as_generator(seed).uniform()
+    place = np.floor((start + np.arange(most)) * (n / most)).astype(np.int64)
+    return np.asarray(np.sort(order[np.minimum(place, n - 1)]))

@@ -21,8 +21,9 @@ _STEP = 1e-4
 """Central difference step of the coordinates; it only shapes proposals."""
 _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
+_KINDS = ("shift", "scale", "row", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
-"""Steps are of these sizes in turn: the posterior of a scatter is narrow where it is large, and wide where it is small."""
+"""Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ def expand(posterior: Posterior, at: FloatArray) -> Expansion:
     height = posterior.likelihood.log_density(*seen)
     with np.errstate(invalid="ignore"):  # two points without density have no slope
         gradient = (height[:, :n] - height[:, n:]) / (2.0 * _STEP)
-    usable = np.isfinite(gradient).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+    usable = np.asarray(np.isfinite(gradient).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2)))
     jacobian = np.where(usable[:, None, None], jacobian, 0.0)
     gradient = np.where(usable[:, None], gradient, 0.0)
     precision = jacobian @ jacobian.swapaxes(-1, -2)
@@ -99,16 +100,6 @@ class Frame:
     def place(self, score: FloatArray) -> FloatArray:
         """Return z with the score that is given."""
         return small_matrices.solve_upper(self.lower, self.middle + score)
-
-    def moments(self) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_k E[r_k r_kᵀ], shape (n_chain, 6, 6), and Σ_k E[r_k], (n_chain, 6), of r = z less its prior mean."""
-        n = N_COORDINATE
-        first = (small_matrices.solve_upper(self.lower, self.middle) - self.mean)[:n]
-        inverse = small_matrices.inverse_lower(self.lower)[:, :n]  # rows of L⁻¹, columns of R
-        by_chain = inverse.transpose(2, 1, 0, 3).reshape(first.shape[1], n, -1)
-        of_first = first.swapaxes(0, 1)
-        square = by_chain @ by_chain.swapaxes(-1, -2) + of_first @ of_first.swapaxes(-1, -2)
-        return square, first.sum(axis=-1).T
 
     def where(self, accept: NDArray[np.bool_], other: Frame) -> Frame:
         """Return `other` for the chains that accept."""
@@ -164,26 +155,26 @@ class RecordMoves:
         self.posterior = posterior
         self.cells = cells
         self.rng = rng
-        self.log_step = {kind: np.zeros(N_COORDINATE) for kind in ("shift", "stretch")}
-        self.tried = dict.fromkeys(("records, independent", "records, walk", "shift", "stretch"), 0.0)
+        self.log_step = {kind: np.zeros(N_COORDINATE) for kind in _KINDS}
+        self.tried = dict.fromkeys(("records, independent", "records, walk", *_KINDS), 0.0)
         self.accepted = dict.fromkeys(self.tried, 0.0)
         self.shape_by(expansion, np.full(N_COORDINATE, 0.25))
 
-    def shape_by(self, expansion: Expansion, scatter: FloatArray, *, turn: bool = True) -> None:
-        """Take another expansion, and typical variances (6,) of the coordinates, to shape the proposals.
-
-        The axes turn to those of the expansion only if that is asked for.
-        """
+    def shape_by(self, expansion: Expansion, scatter: FloatArray) -> None:
+        """Take another expansion, and typical variances (6,) of the coordinates, to shape the proposals."""
         self.expansion = expansion
         mean = expansion.precision[:N_COORDINATE, :N_COORDINATE].mean(axis=-1)
-        if turn:
-            self.told, self.axes = np.linalg.eigh(mean)
-        told = np.maximum(self.told, 0.0)
+        told, self.axes = np.linalg.eigh(mean)
         spread = np.einsum("ji,j->i", self.axes**2, scatter)
         known = np.maximum(told, 0.0) * spread
         known = known / (1.0 + known)  # share of a record's scatter that its own data tell
-        self.shift_scale = 1.0 / np.sqrt(1.0 + self.cells.n_record * known / spread)
-        self.scale_scale = 1.0 / np.sqrt(1.0 + 2.0 * self.cells.n_record * known**2)
+        n_record = self.cells.n_record
+        self.scale = {
+            "shift": 1.0 / np.sqrt(1.0 + n_record * known / spread),
+            "scale": 1.0 / np.sqrt(1.0 + 2.0 * n_record * known**2),
+            "spread": np.ones(N_COORDINATE),
+        }
+        self.row_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
 
     def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-likelihoods, shape (n_chain, n_record)."""
@@ -241,7 +232,7 @@ class RecordMoves:
         """Move the means, of all groups or of one, along an axis."""
         hyper, cells = state.hyper, self.cells
         n_chain = len(hyper)
-        step = self._steps("shift", axis, n_chain) * self.shift_scale[axis] * self.rng.standard_normal(n_chain)
+        step = self._steps("shift", axis, n_chain) * self.scale["shift"][axis] * self.rng.standard_normal(n_chain)
         moved = np.ones((n_chain, cells.n_group))
         if cells.n_group > 1:
             one = self.rng.integers(2 * cells.n_group, size=n_chain)  # half of the moves are of one group
@@ -256,21 +247,45 @@ class RecordMoves:
         log_ratio = 0.5 * np.sum(hyper.score**2 - score**2, axis=1)
         return self._carry("shift", axis, state, frame, hyper.with_score(score), log_ratio, adapt=adapt)
 
-    def stretch(self, state: State, frame: Frame, axis: int, *, adapt: bool) -> tuple[State, Frame]:
-        """Multiply the scatter of one coordinate, with the scores of the means held fixed.
+    def stretch(self, state: State, frame: Frame, kind: str, axis: int, *, adapt: bool) -> tuple[State, Frame]:
+        """Change Σ: its spread along an axis, what the axis has in common with others, or the spread of a coordinate.
 
-        Σ becomes A Σ A with A diagonal: A⁻¹ is as probable as A, and the measure of Σ grows by |A|⁷.
+        Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
+        grows by |A|⁷. The scores of the means are held fixed.
+
+        Parameters
+        ----------
+        state, frame : State, Frame
+            Where the chains are.
+        kind : str
+            ``"scale"``, ``"row"`` or ``"spread"``.
+        axis : int
+            Which axis, or coordinate.
+        adapt : bool
+            Whether the step is adapted.
+
+        Returns
+        -------
+        state, frame : State, Frame
+            Where they are then.
         """
         hyper = state.hyper
         n_chain = len(hyper)
-        rate = self._steps("stretch", axis, n_chain) * self.rng.standard_normal(n_chain)
-        matrix = np.ones((n_chain, N_COORDINATE))
-        matrix[:, axis] = np.exp(rate)
-        scatter = hyper.scatter * matrix[:, :, None] * matrix[:, None, :]
+        basis = np.eye(N_COORDINATE) if kind == "spread" else self.axes
+        size = self._steps(kind, axis, n_chain)[:, None]
+        if kind == "row":
+            slope = size * ((self.row_scale[axis] * self.rng.standard_normal((n_chain, N_COORDINATE))) @ basis.T)
+        else:
+            slope = size * self.scale[kind][axis] * self.rng.standard_normal((n_chain, 1)) * basis[:, axis]
+        rate = slope @ basis[:, axis]
+        growth = np.where(np.abs(rate) > 1e-8, np.expm1(rate) / np.where(np.abs(rate) > 1e-8, rate, 1.0), 1.0)
+        matrix = np.eye(N_COORDINATE) + basis[:, axis, None] * (growth[:, None] * slope)[:, None, :]
+        scatter = matrix @ hyper.scatter @ matrix.swapaxes(-1, -2)
+        scatter = 0.5 * (scatter + scatter.swapaxes(-1, -2))
         log_ratio = log_density_of_scatter(scatter) - log_density_of_scatter(hyper.scatter)
         log_ratio += (N_COORDINATE + 1.0) * rate
         new = hyper.where(np.isfinite(log_ratio), replace(hyper, scatter=scatter))
-        return self._carry("stretch", axis, state, frame, new, log_ratio, adapt=adapt)
+        return self._carry(kind, axis, state, frame, new, log_ratio, adapt=adapt)
 
     def _carry(
         self, kind: str, axis: int, state: State, frame: Frame, hyper: Hyper, log_ratio: FloatArray, *, adapt: bool

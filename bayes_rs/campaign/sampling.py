@@ -10,7 +10,6 @@ from bayes_rs._validation import FloatArray, as_generator
 from bayes_rs.campaign.campaign_posterior import CampaignPosterior
 from bayes_rs.campaign.cells import Cells, make_cells
 from bayes_rs.campaign.conjugate import HyperMoves
-from bayes_rs.campaign.hyper_drift import HyperDrift
 from bayes_rs.campaign.hyperprior import Hyper, draw_coordinates, draw_hyper
 from bayes_rs.campaign.learning import hyper_table, hyper_values, learnt_prior
 from bayes_rs.campaign.record_moves import RecordMoves, State, expand
@@ -25,12 +24,14 @@ LEAST_RECORDS = 20
 MOST_RECORDS = 1500
 """More records than this tell little more of the hyperparameters: `choose_records` takes a sample of them."""
 N_CHAIN = 4
-TARGET_ESS = 400
+TARGET_ESS = 100
 R_HAT_LIMIT = 1.05
 N_PRIOR_CAMPAIGN = 400
 """Campaigns without data that tell what the data decided."""
 MOST_KEPT = 256
 """Draws of the records that are kept of each chain: this to twice as many."""
+_TOGETHER = 1200
+"""Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
 _BURN_IN = (50, 100, 150, 200)
@@ -52,7 +53,7 @@ def sample_campaign(
     seed: int | np.random.Generator,
     target_ess: int = TARGET_ESS,
     most_sweeps: int = 8000,
-    n_chain: int = N_CHAIN,
+    n_chain: int | None = None,
 ) -> CampaignPosterior:
     """Sample the records of a campaign together with the distribution that they come from.
 
@@ -71,7 +72,7 @@ def sample_campaign(
     most_sweeps : int
         Bound on the sweeps of a chain after burn-in.
     n_chain : int
-        Independent chains.
+        Independent chains; by default 4, and more for few records, whose chains cost little.
 
     Returns
     -------
@@ -86,8 +87,8 @@ def sample_campaign(
     base = posterior.prior
     if not isinstance(base, LogRatioPrior):
         raise InputError(
-            f"Prior {base.name!r} cannot begin a campaign: its coordinates must be independent and standard normal; give "
-            "'weak' or 'ratio', or switch the campaign off."
+            f"Prior {base.name!r} cannot begin a campaign: its coordinates must be independent and standard normal; "
+            "give 'weak' or 'ratio', or switch the campaign off."
         )
     speed = np.asarray(wind_speed, dtype=np.float64)
     if speed.shape != (posterior.n_record,):
@@ -95,15 +96,17 @@ def sample_campaign(
             f"Invalid wind_speed of shape {speed.shape}: there must be one for each of {posterior.n_record} records."
         )
     rng = as_generator(seed)
+    if n_chain is None:
+        n_chain = N_CHAIN * int(np.clip(_TOGETHER // (N_CHAIN * len(speed)), 1, 5))
     given = make_cells(speed, group)
     order, cells = given.order(), given.in_order()
     run = _Run(posterior.take(order), base, cells, rng, n_chain)
     run.burn_in()
-    ess, r_hat = 0.0, np.inf
+    ess, r_hat, done = 0.0, np.inf, False
     while run.n_sweep < most_sweeps:
         run.advance(min(_BLOCK, most_sweeps - run.n_sweep))
-        ess, r_hat = run.effective()
-        if ess >= target_ess and r_hat < R_HAT_LIMIT:
+        ess, r_hat, done = run.effective(target_ess)
+        if done:
             break
     hyper = run.hyper_draws()
     values = {name: value.reshape(n_chain, -1) for name, value in hyper_values(base, hyper, cells).items()}
@@ -120,7 +123,7 @@ def sample_campaign(
         n_sweep=run.n_sweep,
         ess=ess,
         r_hat=r_hat,
-        converged=bool(ess >= target_ess and r_hat < R_HAT_LIMIT),
+        converged=done,
         prior_stress=base.stress(draw_coordinates(prior, given, rng)),
     )
 
@@ -140,7 +143,6 @@ class _Run:
         mode = np.ascontiguousarray(laplace_proposal(posterior).mode.T)
         self.moves = RecordMoves(posterior, cells, expand(posterior, mode), rng)
         self.hyper_moves = HyperMoves(cells, rng)
-        self.drift = HyperDrift(self.moves, rng)
         # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes
         hyper = draw_hyper(n_chain, cells, rng)
         mode = np.repeat(mode[:, None, :], n_chain, axis=1)
@@ -149,25 +151,18 @@ class _Run:
         self.state = State(hyper, start, self.moves.log_likelihood(start))
 
     @property
-    def _tallies(self) -> tuple[RecordMoves | HyperMoves | HyperDrift, ...]:
-        return self.moves, self.drift, self.hyper_moves
+    def _tallies(self) -> tuple[RecordMoves | HyperMoves, ...]:
+        return self.moves, self.hyper_moves
 
     def burn_in(self) -> None:
         """Let the chains forget where they began, and shape the proposals; no draw is kept."""
-        for part, length in enumerate(_BURN_IN):
-            visited: list[FloatArray] = []
+        for length in _BURN_IN:
             total, scatter = np.zeros(self.state.coordinate[:, 0].shape), np.zeros(N_COORDINATE)
             for sweep in range(length):
                 self._sweep(sweep, adapt=True)
                 total += self.state.coordinate.mean(axis=1) / length
                 scatter += np.einsum("nii->i", self.state.hyper.scatter) / (length * len(self.state.hyper))
-                visited.append(self.drift.position(self.state.hyper))
-            # the axes stay those of the first part, since positions are along them
-            self.moves.shape_by(expand(self.posterior, total), scatter, turn=part == 0)
-            if part == 0:
-                self.drift.shape_by_information()
-            else:
-                self.drift.shape_by(np.concatenate(visited))
+            self.moves.shape_by(expand(self.posterior, total), scatter)
         for tally in self._tallies:
             tally.tried, tally.accepted = dict.fromkeys(tally.tried, 0.0), dict.fromkeys(tally.tried, 0.0)
 
@@ -191,11 +186,10 @@ class _Run:
         hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], adapt=adapt)
         frame = self.moves.frame(hyper)
         state = self.moves.move_records(State(hyper, state.coordinate, state.height), frame, walk=sweep % 2 == 1)
-        state, frame = self.drift.move(state, frame, adapt=adapt)
-        axis = int(self.rng.integers(N_COORDINATE))
-        state, frame = self.moves.stretch(state, frame, axis, adapt=adapt)
-        if self.cells.n_group > 1:
-            state, frame = self.moves.shift(state, frame, axis, adapt=adapt)
+        axis = self.rng.permutation(N_COORDINATE)
+        state, frame = self.moves.shift(state, frame, int(axis[0]), adapt=adapt)
+        for kind, where in zip(("scale", "row") if sweep % 2 else ("spread", "scale"), axis[1:], strict=False):
+            state, frame = self.moves.stretch(state, frame, kind, int(where), adapt=adapt)
         self.state = state
 
     def hyper_draws(self) -> Hyper:
@@ -209,15 +203,22 @@ class _Run:
             )
         )
 
-    def effective(self) -> tuple[float, float]:
-        """Return the smallest effective sample size and largest R-hat of what is looked at."""
+    def effective(self, target_ess: float) -> tuple[float, float, bool]:
+        """Return the smallest effective size and largest R-hat of all means, and whether the target is reached.
+
+        The standard deviations, which move more slowly, must have a quarter of the target, and R-hat below 1.1.
+        """
         n_chain = len(self.state.hyper)
         values = hyper_values(self.base, self.hyper_draws(), self.cells)
-        looked = [value.reshape(n_chain, -1) for name, value in values.items() if not name.startswith("corr")]
-        means = np.stack(self.means, axis=-1)  # (n_chain, 6, n_draw)
-        looked += list(np.moveaxis(means, 1, 0))
-        diagnosis = diagnostics.diagnose(np.stack(looked), n_chain)
-        return float(diagnosis.ess_bulk.min()), float(diagnosis.r_hat.max())
+        means = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("mean")]
+        means += list(np.moveaxis(np.stack(self.means, axis=-1), 1, 0))  # those of stresses, (n_chain, n_draw) each
+        scatter = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("sd")]
+        of_means = diagnostics.diagnose(np.stack(means), n_chain)
+        of_scatter = diagnostics.diagnose(np.stack(scatter), n_chain)
+        ess, r_hat = float(of_means.ess_bulk.min()), float(of_means.r_hat.max())
+        done = ess >= target_ess and r_hat < R_HAT_LIMIT
+        done = done and bool(of_scatter.ess_bulk.min() >= 0.25 * target_ess and of_scatter.r_hat.max() < 1.1)
+        return ess, r_hat, done
 
     def acceptance(self) -> dict[str, float]:
         """Return the accepted share of each kind of move."""

@@ -48,15 +48,3 @@ def log_diagonal(lower: FloatArray) -> FloatArray:
     for i in range(1, len(lower)):
         diagonal *= lower[i, i]
     return np.asarray(np.log(diagonal))
-
-
-def inverse_lower(lower: FloatArray) -> FloatArray:
-    """Return the inverses of lower triangular matrices, shape (d, d, …)."""
-    d = len(lower)
-    inverse = np.zeros(lower.shape)
-    for i in range(d):
-        inverse[i, i] = 1.0 / lower[i, i]
-        for k in range(i):
-            inverse[i, : k + 1] -= lower[i, k] * inverse[k, : k + 1]
-        inverse[i, :i] *= inverse[i, i]
-    return inverse

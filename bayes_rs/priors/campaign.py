@@ -130,11 +130,11 @@ class CampaignPrior(Prior):
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the normal log-density of the coordinates."""
-        return _log_normal(coordinate - self.mean, np.linalg.cholesky(self.covariance))
+        return _log_normal(coordinate - self.mean, _cholesky(self.covariance))
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
-        root = np.linalg.cholesky(self.covariance)
+        root = _cholesky(self.covariance)
         return np.asarray(self.mean + rng.standard_normal((n_draw, N_COORDINATE)) @ root.T)
 
     def in_words(self) -> str:
@@ -187,7 +187,7 @@ class CampaignPrior(Prior):
         for name in set(names):
             rows = np.flatnonzero(np.array([one == name for one in names]))
             mean[rows], covariance[rows] = self._at(self.groups[name], speed[rows])
-        return RecordsPrior(self.base, mean, np.linalg.cholesky(covariance))
+        return RecordsPrior(self.base, mean, _cholesky(covariance))
 
     def _at(self, group: LearntGroup, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means (n, 6) and covariances (n, 6, 6) at wind speeds (n,), linear in ln U between the table's."""
@@ -337,6 +337,10 @@ def load_campaign_prior(path: str | Path) -> CampaignPrior:
     except (KeyError, TypeError, ValueError) as error:
         reason = str(error) if isinstance(error, InputError) else "its base or a table of numbers cannot be used"
         raise InputError(f"Invalid campaign prior file {str(path)!r}: {reason}") from None
+
+
+def _cholesky(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
 def _with_size(covariance: FloatArray, row: FloatArray) -> FloatArray:
