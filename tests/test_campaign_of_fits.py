@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import FitOptions, InputError, Settings
+from bayes_rs.campaign import sampling
 from bayes_rs.fits import campaign_job, campaign_stage, plan
 from bayes_rs.fits.campaign_groups import MOST_GROUPS, campaign_groups
 from bayes_rs.fits.campaign_job import campaign_posterior, join_batches
@@ -41,19 +43,43 @@ def scene(n_record=N_RECORD, name="6-beam@opening_angle_deg=45"):
     return records, scan, noise
 
 
-def few_sweeps():
-    return partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=40)
+def few_sweeps(patch):
+    """Few sweeps, and small parts: what is tested is the way of the numbers, not how good they are."""
+    patch.setattr(sampling, "_BURN_IN", (10, 10))
+    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
+    patch.setattr(campaign_job, "sample_campaign", few)
+    patch.setattr(plan, "PART_RECORDS", 5)
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Few sweeps, and small parts: what is tested is the way of the numbers, not how good they are."""
-    monkeypatch.setattr(campaign_job, "sample_campaign", few_sweeps())
-    monkeypatch.setattr(plan, "PART_RECORDS", 5)
+    few_sweeps(monkeypatch)
 
 
-def tables_of(fit):
-    return {name: fit.table(name) for name in fit.source.datasets}
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
+    """Records, scan and options; their fit in memory, and its folder."""
+    records, scan, noise = scene()
+    records["flag"].values[1] = 1  # not fitted
+    options = {**SMALL, "noise": noise, "campaign": "on"}
+    whole = tmp_path_factory.mktemp("once") / "whole"
+    with pytest.MonkeyPatch.context() as patch:
+        few_sweeps(patch)
+        one = brs.fit(records, scan, **options)
+        brs.fit(records, scan, output=whole, **options)
+    return records, scan, options, one, whole
+
+
+@pytest.fixture
+def made(once, tmp_path, quick):  # noqa: ARG001 - it is on
+    """The same, and a folder of one's own in place of that of the fit."""
+    return *once[:4], tmp_path
+
+
+@pytest.fixture
+def copied(once, tmp_path):
+    """A copy of the folder of the fit."""
+    return Path(shutil.copytree(once[4], tmp_path / "copy"))
 
 
 def check_same(one, other):
@@ -260,26 +286,21 @@ class TestPosteriorOfTheCampaign:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quick")
 class TestTheRoad:
-    @pytest.fixture
-    def made(self, tmp_path, quick):  # noqa: ARG002 - it is on
-        records, scan, noise = scene()
-        records["flag"].values[1] = 1  # not fitted
-        options = {**SMALL, "noise": noise, "campaign": "on"}
-        return records, scan, options, brs.fit(records, scan, **options), tmp_path
-
-    @pytest.mark.parametrize("workers", [1, 2])
-    def test_in_a_folder_as_in_memory(self, made, workers):
-        records, scan, options, one, place = made
-        other = brs.fit(records, scan, output=place / "out", workers=workers, **options)
+    def test_in_a_folder_as_in_memory(self, once):
+        _, _, _, one, whole = once
+        other = brs.open_fit(whole)
         check_same(one, other)
-        check_same(one, brs.open_fit(place / "out"))
         assert one.words == other.words
         assert one.failures == other.failures
-        first, second = one.campaign_prior(), brs.open_fit(place / "out").campaign_prior()
+        first, second = one.campaign_prior(), other.campaign_prior()
         draw = np.random.default_rng(2).standard_normal((4, 6))
         np.testing.assert_array_equal(first.log_density(draw), second.log_density(draw))
+
+    def test_two_workers_as_one(self, made, once):
+        records, scan, options, one, place = made
+        check_same(one, brs.fit(records, scan, output=place / "out", workers=2, **options))
+        assert read_bytes(place / "out") == read_bytes(once[4])
 
     def test_the_records_under_it_are_those_of_a_fit_with_its_prior(self, made):
         """A fit that is given the learnt prior and draws directly is the same by another way."""
@@ -302,9 +323,8 @@ class TestTheRoad:
     @pytest.mark.parametrize(
         "stop", ["before the campaign", "before its last file", "in the second pass", "after all of it"]
     )
-    def test_stopped_between_the_stages_and_resumed(self, made, monkeypatch, stop):
+    def test_stopped_between_the_stages_and_resumed(self, made, once, monkeypatch, stop):
         records, scan, options, one, place = made
-        brs.fit(records, scan, output=place / "whole", **options)
 
         def fail(*_arguments, **_options):
             raise KeyboardInterrupt
@@ -331,42 +351,35 @@ class TestTheRoad:
                 brs.fit(records, scan, output=place / "out", **options)
         found = brs.fit(records, scan, output=place / "out", resume=True, **options)
         check_same(one, found)
-        assert read_bytes(place / "out") == read_bytes(place / "whole")
+        assert read_bytes(place / "out") == read_bytes(once[4])
 
     @pytest.mark.parametrize(
         "name", [*campaign_stage.FILES, "campaign_summary/month=2020-01/part-000001.parquet", "campaign_summary"]
     )
-    def test_what_is_lost_is_made_again(self, made, name):
-        records, scan, options, one, place = made
-        brs.fit(records, scan, output=place / "out", **options)
-        before = read_bytes(place / "out")
-        lost = place / "out" / name
-        for file in [lost] if lost.is_file() else lost.rglob("*.parquet"):
+    def test_what_is_lost_is_made_again(self, made, copied, name):
+        records, scan, options, one, _ = made
+        before = read_bytes(copied)
+        lost = copied / name
+        for file in [lost] if lost.is_file() else list(lost.rglob("*.parquet")):
             file.unlink()
-        check_same(one, brs.fit(records, scan, output=place / "out", resume=True, **options))
-        assert read_bytes(place / "out") == before
+        check_same(one, brs.fit(records, scan, output=copied, resume=True, **options))
+        assert read_bytes(copied) == before
 
-    def test_parts_of_another_prior_are_not_kept(self, made):
+    def test_records_under_another_prior_are_not_kept(self, made, copied, monkeypatch):
         """If the campaign is learnt again and is another one, its records are fitted again."""
-        records, scan, options, one, place = made
-        brs.fit(records, scan, output=place / "out", **options)
-        about = json.loads((place / "out" / campaign_stage.ABOUT_FILE).read_text())
-        from bayes_rs.result_folder import list_beside  # noqa: PLC0415 - beside its use
-
-        (place / "out" / campaign_stage.ABOUT_FILE).write_text(json.dumps({**about, "prior_key": "another"}))
-        (place / "out" / campaign_stage.PRIOR_FILE).unlink()
-        list_beside(place / "out" / campaign_stage.ABOUT_FILE)
+        records, scan, options, one, _ = made
+        about = json.loads((copied / campaign_stage.ABOUT_FILE).read_text())
+        (copied / campaign_stage.ABOUT_FILE).write_text(json.dumps({**about, "prior_key": "another"}))
+        (copied / campaign_stage.PRIOR_FILE).unlink()
         fitted = []
         work = campaign_stage.fit_under_campaign
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(campaign_stage, "fit_under_campaign", lambda *given: fitted.append(1) or work(*given))
-            check_same(one, brs.fit(records, scan, output=place / "out", resume=True, **options))
+        monkeypatch.setattr(campaign_stage, "fit_under_campaign", lambda *given: fitted.append(1) or work(*given))
+        check_same(one, brs.fit(records, scan, output=copied, resume=True, **options))
         assert len(fitted) == 3
 
-    def test_the_summary_on_disk_has_both(self, made):
+    def test_the_summary_on_disk_has_both(self, made, once):
         records, scan, options, one, place = made
-        brs.fit(records, scan, output=place / "out", **options)
-        table = pd.read_csv(place / "out" / "summary.csv")
+        table = pd.read_csv(once[4] / "summary.csv")
         under = one.summary(campaign=True)
         for ours, theirs in (("campaign_mean", "mean"), ("campaign_low", "hdi_low"), ("campaign_high", "hdi_high")):
             np.testing.assert_allclose(table[ours], under[theirs], rtol=1e-14)  # pandas reads to the last bit but one
@@ -379,10 +392,12 @@ class TestTheRoad:
 
     def test_groups_arrive(self, made):
         records, scan, options, one, place = made
-        other = brs.fit(records, scan, **options, campaign_group="hour")
-        folder = brs.fit(records, scan, output=place / "out", **options, campaign_group="hour")
-        check_same(other, folder)
+        records = records.assign(stability=("record", np.where(np.arange(N_RECORD) % 2, "stable", "neutral")))
+        other = brs.fit(records, scan, **options, campaign_group="stability")
+        check_same(other, brs.fit(records, scan, output=place / "out", **options, campaign_group="stability"))
         assert not other.campaign_hyper().equals(one.campaign_hyper())
+        assert {"stable", "neutral"} <= set(other.campaign()["bin"])
+        assert set(other.campaign_prior().groups) >= {"stable", "neutral"}
 
     def test_unsteady_records_arrive(self, made):
         records, scan, options, one, _ = made
@@ -429,12 +444,8 @@ class TestTheRoad:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign_job, "sample_campaign", few_sweeps())
-        records, scan, noise = scene()
-        output = tmp_path_factory.mktemp("said") / "out"
-        return brs.fit(records, scan, noise=noise, campaign="on", output=output, **SMALL)
+def found(once):
+    return brs.open_fit(once[4])
 
 
 @pytest.mark.slow
@@ -487,7 +498,7 @@ class TestWhatIsSaid:
     def test_the_report_has_a_section(self, found, tmp_path):
         page = brs.write_report(found, tmp_path / "a.html").read_text(encoding="utf-8")
         assert '<section id="campaign"' in page
-        assert f"Campaign of {N_RECORD} records" in page
+        assert f"Campaign of {N_RECORD - 1} records" in page
         assert 'src="data:image/png;base64,' in page
         assert brs.write_report(found, tmp_path / "b.html").read_text(encoding="utf-8") == page
 
