@@ -1,3 +1,4 @@
+from . import campaign as campaign
 from . import design as design
 from . import geometry as geometry
 from . import noise as noise

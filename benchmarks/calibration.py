@@ -126,9 +126,8 @@ def measure(
         coords={"beam": scan.beam},
         attrs={"duration": 600.0},
     )
-    result = brs.fit(
-        records, scan, noise=noise, prior=prior, seed=5, sampler="auto", target_ess=500, nuisances=nuisances
-    )
+    options = {"sampler": "auto", "target_ess": 500, "nuisances": nuisances, "campaign": "off"}
+    result = brs.fit(records, scan, noise=noise, prior=prior, seed=5, **options)
     draws = result["posterior/stress"].transpose("record", "component", "chain", "draw").values
     flat = draws.reshape(n_record, 6, -1)
     rank = (flat < observed(stress)[:, :, None]).mean(axis=-1)

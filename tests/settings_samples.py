@@ -105,6 +105,9 @@ SAMPLES = {
         "draws": one("--draws", "float32"),
         "scatter": one("--scatter", "theory"),
         "unsteady_level": one("--unsteady-level", 0.05),
+        "campaign": Sample("off", ("--no-campaign",)),
+        "campaign_group": one("--campaign-group", "hour"),
+        "campaign_unsteady": Sample(True, ("--campaign-unsteady",)),
     },
     "nuisances": {
         "yaw_sd_deg": one("--yaw-sd", 2.0),

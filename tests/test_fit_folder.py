@@ -272,7 +272,7 @@ class TestFolder:
             "from bayes_rs.fits import fit_folder, plan\n"
             "plan.PART_RECORDS = 64\n"
             "fit_folder.MOST_KEPT = 0\n"  # as of a long fit: no export of all draws at once
-            "fit_to(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', **OPTIONS)\n"
+            "fit_to(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', campaign='off', **OPTIONS)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
         )
         peak = [

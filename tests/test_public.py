@@ -29,6 +29,7 @@ PUBLIC = [
     "Settings",
     "WorkerError",
     "__version__",
+    "campaign",
     "compare",
     "compare_inflow",
     "demo_file",
@@ -61,6 +62,7 @@ PUBLIC = [
     "write_report",
 ]
 SUBJECTS = {
+    "campaign": ["CampaignPosterior", "campaign_table", "prior_from_stresses"],
     "design": [
         "CompareOptions",
         "CriterionOptions",
@@ -108,8 +110,9 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["comparison", "corner", "lumley", "spectra", "stresses"],
+    "plot": ["campaign", "comparison", "corner", "lumley", "spectra", "stresses"],
     "priors": [
+        "CampaignPrior",
         "FlatPrior",
         "GaussianPrior",
         "MannPrior",
@@ -118,6 +121,7 @@ SUBJECTS = {
         "RatioPrior",
         "SamplePrior",
         "WeakPrior",
+        "load_campaign_prior",
         "make_prior",
     ],
     "quality": [

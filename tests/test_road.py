@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import distributed
 import numpy as np
@@ -13,7 +14,7 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import FitOptions, MannTurbulence, Noise, Nuisances, Settings
-from bayes_rs.fits import plan
+from bayes_rs.fits import campaign_job, plan
 from bayes_rs.fits.groups import GROUPS
 from bayes_rs.fits.settings import option_places
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
@@ -51,6 +52,13 @@ def two_months(records):
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     monkeypatch.setattr(plan, "PART_RECORDS", 3)
+
+
+@pytest.fixture(autouse=True)
+def few_sweeps(monkeypatch):
+    """A campaign is sampled shortly: what is tested is the way of its numbers."""
+    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=40)
+    monkeypatch.setattr(campaign_job, "sample_campaign", few)
 
 
 def check_same(one, other):
@@ -91,6 +99,8 @@ CASES = {
     "no draws": ("6-beam", unfitted, {"draws": "none"}),
     "draws of single precision": ("6-beam", unfitted, {"draws": "float32"}),
     "direct or emcee": ("6-beam", unfitted, {"sampler": "auto", "derived": ("ti", "tke"), "prob": 0.5}),
+    "campaign": ("6-beam", unfitted, {"campaign": "on"}),
+    "campaign of many beams": ("50-beam", unfitted, {"campaign": "on", "workers": 2}),
     "none fitted": ("6-beam", lambda records: records.assign(flag=records["flag"] + 1), {}),
 }
 
@@ -231,6 +241,9 @@ OPTION_CASES = {
     "draws": ({}, {"draws": "none"}),
     "scatter": ({}, {"scatter": "theory"}),
     "unsteady_level": ({}, {"unsteady_level": 0.0}),
+    "campaign": ({}, {"campaign": "on"}),
+    "campaign_group": ({"campaign": "on"}, {"campaign_group": "stability"}),
+    "campaign_unsteady": ({"campaign": "on"}, {"campaign_unsteady": True}),
 }
 """Say here what an option changes: other options that it needs, and another value."""
 NUISANCE_CASES = {
@@ -289,6 +302,9 @@ def scenes_of(tmp_path_factory):
         folder = tmp_path_factory.mktemp(name)
         records, scan, noise = scene(name, 2)
         records = records.assign(yaw_sd=("record", [np.nan, 1.0]), **parts_of(scan))
+        unsteady = ("record", [0, 1], {"flag_meanings": "not_stationary", "flag_masks": [1]})
+        records = records.assign(record_flag=unsteady)
+        records = records.assign(stability=("record", np.array(["stable", "neutral"], dtype=object)))
         records.to_netcdf(folder / "records.nc", engine="h5netcdf")
         bank = scales(noise)
         noise.save(folder / "plain.nc")

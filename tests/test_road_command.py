@@ -555,7 +555,8 @@ class TestOtherCommands:
         [
             (section, name)
             for section, name in ON_THE_COMMAND_LINE
-            if section in ("fit", "nuisances", "noise") and name not in ("derived", "draws")
+            if section in ("fit", "nuisances", "noise")
+            and name not in ("derived", "draws", "campaign", "campaign_group", "campaign_unsteady")
         ],
     )
     def test_sensitivity(self, section, name, handed):

@@ -63,6 +63,10 @@ def draw_pictures(found: Fit, folder: Path) -> None:
     figures = {"stresses.png": stresses(found)}
     if found.has_draws and found.n_fitted:
         figures["corner.png"] = draw_corner(found, int(found.fitted.argmax()))
+    if found.has_campaign:
+        from bayes_rs.plot.campaign_plot import campaign
+
+        figures["campaign.png"] = campaign(found)
     for name, figure in figures.items():
         with output_file(folder / name, overwrite=True) as part:
             figure.savefig(part, dpi=130)
@@ -91,7 +95,15 @@ def _tell(found: Fit, output: str) -> None:
 
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
-@settings_options("scan", "files", "records", "quality", "noise", "fit", without=("derived", "draws"))
+@settings_options(
+    "scan",
+    "files",
+    "records",
+    "quality",
+    "noise",
+    "fit",
+    without=("derived", "draws", "campaign", "campaign_group", "campaign_unsteady"),
+)
 @click.option(
     "--factor",
     "factors",

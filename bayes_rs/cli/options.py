@@ -30,6 +30,8 @@ _MOST_NAMED = 12
 """Values that the help of an open option names."""
 _LONGEST_CHOICE = 30
 """Characters up to which choices stand behind the option itself, and not in its help."""
+SWITCH = ("auto", "on", "off")
+"""Choices that the command line has as --NAME and --no-NAME."""
 _MADE_OF_SERIES = ("files", "records", "quality")
 """Sections that are of no use where the files hold records that were made before."""
 
@@ -281,6 +283,9 @@ def field_option(entry: Option, group: str) -> FieldOption:
         if type(None) in get_args(entry.type):
             names[1] = f"{entry.flag}/--no-{entry.flag.removeprefix('--')}"
         return FieldOption(*names, is_flag=True, **attributes)
+    if entry.choices == SWITCH:
+        names[1] = f"{entry.flag}/--no-{entry.flag.removeprefix('--')}"
+        return FieldOption(*names, is_flag=True, callback=_switch, **attributes)
     if pair:
         attributes.setdefault("metavar", "LOW HIGH")
         return FieldOption(*names, type=get_args(container), nargs=2, **attributes)
@@ -319,6 +324,8 @@ def _help(entry: Option, *, several: bool) -> str:
         text += f" ({', '.join(entry.choices)})"
     elif not about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
         text += f": {', '.join(entry.choices)}"
+    if entry.choices == SWITCH:
+        text += f"; {entry.flag}: on, --no-{entry.flag.removeprefix('--')}: off"
     default = entry.default
     has_default = default is not None and default is not False and default not in ((), {}, "")
     extra = "; ".join(
@@ -335,6 +342,11 @@ def _shown(default: Any) -> str:
     if isinstance(default, tuple):
         return ", ".join(_shown(one) for one in default)
     return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _switch(_context: click.Context, _parameter: click.Parameter, given: bool | None) -> str | None:
+    """Return what a switch is set to; None where the command line does not say."""
+    return None if given is None else "on" if given else "off"
 
 
 def _pairs(entry: Option, value: type) -> Callable[[click.Context, click.Parameter, tuple[str, ...]], Any]:

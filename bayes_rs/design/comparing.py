@@ -191,6 +191,7 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
         target=scene.target,
         sampler="auto",
         draws="float64",
+        campaign="off",  # what one record tells is compared
         progress=False,
     )
     stress, of_prior = found.draws(), found.prior_draws

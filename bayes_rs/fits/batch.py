@@ -25,6 +25,7 @@ from bayes_rs.posteriors.sampling import sample
 from bayes_rs.posteriors.sampling.chains import BLOCK, Chains
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.posteriors.sonic import draw_sonic
+from bayes_rs.priors.registry import Prior
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Batch:
         Relative variance of a record's variances beyond theory: what all beams share, and each beam's own.
     length_log_sd : ndarray, shape (n_record,), optional
         Standard deviations of the records' own ln L, which their noise is averaged over.
+    group : ndarray of str, shape (n_record,), optional
+        The class of each record within a campaign.
     """
 
     variance: FloatArray
@@ -68,6 +71,7 @@ class Batch:
     yaw_sd: FloatArray | None = None
     scatter: FloatArray | None = None
     length_log_sd: FloatArray | None = None
+    group: NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -85,13 +89,18 @@ class Batch:
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
-            None if self.scatter is None else self.scatter[records],
-            None if self.length_log_sd is None else self.length_log_sd[records],
+            scatter=None if self.scatter is None else self.scatter[records],
+            length_log_sd=None if self.length_log_sd is None else self.length_log_sd[records],
+            group=None if self.group is None else self.group[records],
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
         """Return gains (n_record, n_beam, 6) at the records' own tilt and roll; the noise stays that of the scan's."""
         return gain if self.turn is None else gain @ self.turn
+
+    def prior(self, options: FitOptions) -> Prior:
+        """Return the prior of these records."""
+        return options.made_prior.for_records(self.wind_speed, None if self.group is None else self.group.tolist())
 
     def known_noise(self, options: FitOptions) -> FloatArray | float:
         """Return the instrument's noise as the likelihood takes it: 0 where it is uncertain and sampled."""
@@ -250,7 +259,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    posterior = Posterior(likelihood, options.made_prior, nuisances)
+    posterior = Posterior(likelihood, batch.prior(options), nuisances)
     chains, streams = sample(
         options.sampler,
         posterior,
@@ -306,7 +315,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
             at_record = at_node
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    return Posterior(likelihood, options.made_prior, nuisances), at_record
+    return Posterior(likelihood, batch.prior(options), nuisances), at_record
 
 
 def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | None:

@@ -1,4 +1,4 @@
-"""Names of the columns of the table ``posterior`` of a fit."""
+"""Names of tables of a fit, and of the columns of its table ``posterior``."""
 
 from __future__ import annotations
 
@@ -23,3 +23,5 @@ PER_RECORD = (
     "sonic_clipped",
 )
 """Columns with one number a record; NaN where it was not fitted."""
+TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
+"""Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""

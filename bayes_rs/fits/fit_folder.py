@@ -21,7 +21,11 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits import campaign_stage
+from bayes_rs.fits.campaign_job import of_csv
+from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
+from bayes_rs.fits.columns import SUMMARY
+from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.plan import LAYOUT, Plan
@@ -31,6 +35,8 @@ from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
+from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
+from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
@@ -39,12 +45,15 @@ PRIOR_FILE = "prior.parquet"
 RECORDS_FILE = "records.nc"
 NOISE_FILE = "noise.nc"
 """The noise of a fit that was given one: with it and the records the folder repeats the fit."""
+GIVEN_PRIOR_FILE = "given-prior.toml"
+"""The prior of a fit that was given one from a file, for the same reason."""
 ARVIZ_FILE = "posterior.nc"
 PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
 MOST_CSV = 20_000
 """Records up to which the summary is written as CSV, too."""
-DATASETS = ("summary", "posterior", "draws", "predicted")
+DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY)
+"""The tables in parts."""
 
 
 def fit_into(
@@ -84,6 +93,10 @@ def fit_into(
     began = time.perf_counter()
     _only_of(plan, folder)
     run = {**plan.run, **(more or {})}
+    given_prior = plan.shared.options.made_prior
+    if isinstance(given_prior, CampaignPrior) and run["settings"]["fit"]["prior"] is not None:
+        of_fit = {**run["settings"]["fit"], "prior": f"campaign:{GIVEN_PRIOR_FILE}"}
+        run["settings"] = {**run["settings"], "fit": of_fit}
     folder.write_run(run)
     left = [part for part in plan.parts if any(folder.damage(name) for name in _names(plan, part))]
     n_resumed = n_done = plan.n_record - sum(len(part.batch) for part in left)
@@ -94,6 +107,8 @@ def fit_into(
             write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
         if noise is not None and folder.damage(NOISE_FILE):
             folder.write(NOISE_FILE, noise.save)
+        if isinstance(given_prior, CampaignPrior) and folder.damage(GIVEN_PRIOR_FILE):
+            folder.write(GIVEN_PRIOR_FILE, given_prior.save)
         if folder.damage(RECORDS_FILE):
             folder.write(RECORDS_FILE, partial(write_netcdf, plan.records))
         with (
@@ -104,6 +119,8 @@ def fit_into(
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
+        tables = FolderTables(folder, int(run["part_records"]))
+        run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
     except BaseException as error:
         error.add_note(
             f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: the same call with "
@@ -168,6 +185,8 @@ class FolderTables:
     @cached_property
     def _names(self) -> dict[str, list[str]]:
         found = {dataset: part_names(self.folder, dataset) for dataset in DATASETS}
+        here = self.folder.names()
+        found |= {dataset: [name] for dataset, name in campaign_stage.TABLE_FILES.items() if name in here}
         return {dataset: names for dataset, names in found.items() if names}
 
     @property
@@ -180,6 +199,9 @@ class FolderTables:
     ) -> pd.DataFrame:
         """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
         names = self._names[dataset]
+        if dataset in campaign_stage.TABLE_FILES:
+            table = of_csv(self.folder.read(names[0]))
+            return table if columns is None else table[list(columns)]
         if records is not None and len(records):
             parts = {f"part-{index:06d}.parquet" for index in np.unique(records // self.part_records).tolist()}
             names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
@@ -204,13 +226,18 @@ class _InFolder:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))
         return np.column_stack([table[name].to_numpy() for name in STRESSES]).astype(np.float64)
 
+    def campaign_prior(self) -> Prior | None:
+        here = campaign_stage.PRIOR_FILE in self.folder.names()
+        return load_campaign_prior(self.folder.checked(campaign_stage.PRIOR_FILE)) if here else None
+
 
 def _only_of(plan: Plan, folder: ResultFolder) -> None:
     """Remove the parts of other data, of fewer files, and say whose parts come now."""
     mark = {"key": plan.key, "layout": LAYOUT}
     if not folder.damage(PLAN_FILE) and json.loads(folder.read(PLAN_FILE)) == mark:
         return
-    for name in (*(part for dataset in DATASETS for part in folder.names(f"{dataset}/")), PRIOR_FILE, RECORDS_FILE):
+    parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
+    for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
     folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
 
@@ -228,7 +255,7 @@ def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
 def _write_exports(folder: ResultFolder, found: Fit) -> None:
     """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
     if found.n_record <= MOST_CSV:
-        write = partial(write_csv, found.table("summary"), index=False, date_format="%Y-%m-%dT%H:%M:%S")
+        write = partial(write_csv, exported_summary(found), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
     if found.has_draws and found.n_record <= MOST_KEPT:
         folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))

@@ -5,19 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs.fits.columns import ALONG, ALONG_SHAPE
+from bayes_rs.errors import InputError
+from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
+from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
 from bayes_rs.fits.direction_table import direction_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import lidar_frame
 from bayes_rs.fits.groups import GROUPS, attributes, group_of
 from bayes_rs.fits.summary_anew import summarize
 from bayes_rs.fits.words import describe, failure_lines, flag_lines, least_seen
+
+if TYPE_CHECKING:
+    from bayes_rs.priors.campaign import CampaignPrior
+
+_BESIDE = {"campaign_mean": "mean", "campaign_low": "hdi_low", "campaign_high": "hdi_high"}
+"""Columns of the exported summary, and those of the summary under the campaign that they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +60,12 @@ class Fit(FitData):
         return attributes(self)
 
     def summary(
-        self, *, prob: float | None = None, derived: Sequence[str] | None = None, frame: str = "wind"
+        self,
+        *,
+        prob: float | None = None,
+        derived: Sequence[str] | None = None,
+        frame: str = "wind",
+        campaign: bool = False,
     ) -> pd.DataFrame:
         """Summarize the posterior of every record.
 
@@ -68,6 +81,9 @@ class Fit(FitData):
         frame : {"wind", "lidar"}
             Axes of the stresses and of what is derived from them: of the record's mean wind, or of the levelled lidar
             (x against its view, y to its right, z up), by the record's ``yaw``. The latter needs the draws.
+        campaign : bool
+            The records under the prior that the campaign has learnt, in place of the given one; of these no draws are
+            kept.
 
         Returns
         -------
@@ -99,9 +115,81 @@ class Fit(FitData):
         """
         own = self.settings["fit"]
         wanted = tuple(own["derived"]) if derived is None else tuple(derived)
-        if (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind":
-            return self.source.read("summary")
+        as_made = (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind"
+        if campaign and not as_made:
+            raise InputError(
+                "Of the records under the campaign no draws are kept: their summary has the intervals, quantities and "
+                "axes of the fit; leave prob, derived and frame out."
+            )
+        if as_made:
+            return self._campaign_table(SUMMARY) if campaign else self.source.read("summary")
         return summarize(self, own["prob"] if prob is None else prob, wanted, frame)
+
+    def campaign(self) -> pd.DataFrame:
+        """Return what all records together say of the campaign.
+
+        Returns
+        -------
+        table : DataFrame
+            One row for each quantity and bin of wind speed (``"all"`` first): ``quantity``, ``bin``, posterior
+            ``mean``, ends ``low`` and ``high`` of the interval of probability ``prob``, ``n_record``, and the share
+            ``decided`` of it that the data decided. Quantities are those of `bayes_rs.campaign.campaign_table`.
+
+        Raises
+        ------
+        InputError
+            If there is no campaign; the message says why.
+
+        Notes
+        -----
+        Every row is the posterior of the very number that it names, not an average of the records' posterior means:
+        those carry the prior's bias, which does not average out.
+        """
+        return self._campaign_table(TABLE)
+
+    def campaign_hyper(self) -> pd.DataFrame:
+        """Return the hyperparameters of the campaign: the distribution that the records' R come from.
+
+        Returns
+        -------
+        table : DataFrame
+            One row each: ``name``; posterior ``mean``, ``low``, ``high``; ``prior_mean``, ``prior_low``,
+            ``prior_high``; the share ``decided`` by the data; ``ess`` and ``r_hat``.
+
+        Raises
+        ------
+        InputError
+            If there is no campaign; the message says why.
+        """
+        return self._campaign_table(HYPER)
+
+    def campaign_prior(self) -> CampaignPrior:
+        """Return the prior that the campaign has learnt.
+
+        Returns
+        -------
+        prior : CampaignPrior
+            It can be given to another fit, or saved to a file that ``prior="campaign:FILE"`` names.
+
+        Raises
+        ------
+        InputError
+            If there is no campaign; the message says why.
+        """
+        self._campaign_table(TABLE, [])
+        prior: CampaignPrior = self.loaded.campaign_prior()
+        return prior
+
+    @property
+    def has_campaign(self) -> bool:
+        """Whether the records' common prior was learnt."""
+        return TABLE in self.source.datasets
+
+    def _campaign_table(self, name: str, columns: Sequence[str] | None = None) -> pd.DataFrame:
+        if name not in self.source.datasets:
+            why = self.run["campaign"]["why"] or "it was switched off"
+            raise InputError(f"This fit has no campaign: {why}.")
+        return self.source.read(name, columns)
 
     def directions(self) -> pd.DataFrame:
         """Tell for every record how much the posterior contracted along each direction of R.
@@ -193,7 +281,10 @@ class Fit(FitData):
         )
         table = self.source.read("summary")
         lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], table, learnt)
-        return [*lines, *least_seen(self.directions())]
+        lines += least_seen(self.directions())
+        if not self.has_campaign:
+            return [*lines, *no_campaign_words(self.run["campaign"])]
+        return [*lines, *campaign_words(self.run["campaign"], self.campaign())]
 
     @property
     def failures(self) -> list[str]:
@@ -201,9 +292,29 @@ class Fit(FitData):
 
         Of many records, the first ones.
         """
-        return [*self.run.get("doubts", []), *failure_lines(self.flag, self.record_names)]
+        known = [*self.run.get("doubts", []), *failure_lines(self.flag, self.record_names)]
+        return [*known, *campaign_failures(self.run["campaign"])]
 
     @property
     def remarks(self) -> list[str]:
         """One line for each flag that some record has: how many have it, and the first; then what beams disagree."""
         return [*flag_lines(self.flag, self.record_names), *self.run.get("beams", {}).get("words", [])]
+
+
+def exported_summary(fit: Fit) -> pd.DataFrame:
+    """Return the summary as ``summary.csv`` holds it, with what each row is under the campaign.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+
+    Returns
+    -------
+    table : DataFrame
+        The columns of `Fit.summary`, and ``campaign_mean``, ``campaign_low``, ``campaign_high``: the same stress under
+        the prior that the campaign has learnt; NaN where there is none.
+    """
+    there = fit.source.read(SUMMARY, list(_BESIDE.values())) if fit.has_campaign else None
+    beside = {ours: np.nan if there is None else there[theirs].to_numpy() for ours, theirs in _BESIDE.items()}
+    return fit.source.read("summary").assign(**beside)

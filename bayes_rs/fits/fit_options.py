@@ -16,6 +16,7 @@ from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
 from bayes_rs.posteriors.sampling.effort import ESS_MARGIN, Effort
+from bayes_rs.priors.interface import LogRatioPrior
 from bayes_rs.priors.registry import Prior, make_prior
 
 TARGETS = {
@@ -32,6 +33,14 @@ OWN_TURBULENCE = "records"
 """Name of the turbulence that the records themselves have."""
 USUAL_TURBULENCE = "fu-2022"
 """The turbulence where nothing is known of it."""
+CAMPAIGN = ("auto", "on", "off")
+"""Whether the records' common prior is learnt."""
+CAMPAIGN_FROM = 30
+"""Fitted, steady records from which on ``campaign="auto"`` learns their common prior."""
+CAMPAIGN_GROUPS = ("wind_speed", "direction", "hour")
+"""Classes of records that a campaign knows by itself; the others are variables of the records."""
+CAMPAIGN_PRIORS = ("weak", "ratio")
+"""Priors whose distribution over a campaign can be learnt."""
 MOST_KEPT = 2000
 """Records up to which ``draws="auto"`` keeps the draws: about 0.1 MB each."""
 
@@ -64,7 +73,8 @@ class FitOptions:
     seed: int = option(1, "Seed; a record's draws depend on it and on the record's start, not on other records")
     prior: str | Prior = option(
         "weak",
-        "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, or in Python a prior",
+        "Prior of R: a name, a name with parameters as ratio:vv=0.6,sd_vv=0.3, campaign:FILE for one that a campaign "
+        "has learnt, or in Python a prior",
         choices="bayes_rs.priors.registry:PRIORS",
         open=True,
     )
@@ -108,6 +118,20 @@ class FitOptions:
         f"What is kept of the draws; auto keeps them, in float64, for up to {MOST_KEPT} records",
         choices=DRAWS,
     )
+    campaign: str = option(
+        "auto",
+        f"Learn from all records which distribution their R come from, and fit each under that, too; auto does so from "
+        f"{CAMPAIGN_FROM} steady records on",
+        choices=CAMPAIGN,
+    )
+    campaign_group: str | None = option(
+        None,
+        "Classes of records that may differ within the campaign, such as sectors of wind direction; or the name of a "
+        "variable of the records",
+        choices=CAMPAIGN_GROUPS,
+        open=True,
+    )
+    campaign_unsteady: bool = option(False, "Let records that are not steady into the campaign, too")
 
     def __post_init__(self) -> None:
         """Check the options, one by one and together."""
@@ -145,6 +169,28 @@ class FitOptions:
                 "the sonic and the beams scatter together."
             )
         _ = self.made_prior
+        self._check_campaign()
+
+    def _check_campaign(self) -> None:
+        """Refuse a campaign that is asked for and cannot be had, and options of one that is off."""
+        if isinstance(self.campaign, bool):
+            object.__setattr__(self, "campaign", "on" if self.campaign else "off")
+        check_choice(self.campaign, CAMPAIGN, what="campaign")
+        if self.campaign == "on" and self.no_campaign:
+            raise InputError(f"Invalid campaign 'on': {self.no_campaign}.")
+        if self.campaign == "off" and (self.campaign_group is not None or self.campaign_unsteady):
+            name = "campaign_unsteady" if self.campaign_group is None else "campaign_group"
+            raise InputError(f"Invalid {name} with campaign 'off': leave one of them out.")
+
+    @property
+    def no_campaign(self) -> str:
+        """Why there can be no campaign with these options, in a few words; empty if there can be one."""
+        if self.target == "sonic":
+            return "the tensors of a sonic scatter about R, and the distribution of R is what a campaign learns"
+        name = self.made_prior.name
+        if name not in CAMPAIGN_PRIORS or not isinstance(self.made_prior, LogRatioPrior):
+            return f"it is learnt in the coordinates of the prior weak or ratio, not of {name}"
+        return ""
 
     @cached_property
     def made_prior(self) -> Prior:
@@ -215,6 +261,18 @@ def split_options(options: Mapping[str, Any]) -> tuple[FitOptions, NoiseOptions]
         FitOptions(**{name: value for name, value in options.items() if name in of_fit}),
         NoiseOptions(**{name: value for name, value in options.items() if name in of_noise}),
     )
+
+
+def prior_file(prior: Any) -> str | None:
+    """Return the file of a prior ``"campaign:FILE"``; None for any other prior.
+
+    Examples
+    --------
+    >>> prior_file("campaign:mast/campaign-prior.toml"), prior_file("weak")
+    ('mast/campaign-prior.toml', None)
+    """
+    name, colon, file = prior.partition(":") if isinstance(prior, str) else ("", "", "")
+    return file.strip() if name == "campaign" and colon else None
 
 
 def check_prob(prob: float) -> float:

@@ -12,6 +12,7 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.fits.campaign_stage import Campaign, Crew, campaign_in_memory
 from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
@@ -25,6 +26,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
+from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
@@ -171,12 +173,16 @@ class _InMemory:
     """The records and the prior's draws of a fit in memory."""
 
     plan: Plan
+    learnt: Campaign
 
     def records(self) -> xr.Dataset:
         return self.plan.records
 
     def prior_draws(self) -> FloatArray:
         return self.plan.prior_draws
+
+    def campaign_prior(self) -> Prior | None:
+        return self.learnt.prior
 
 
 def _in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) -> Fit:
@@ -190,4 +196,6 @@ def _in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) -> 
             bar.update(len(done.tables["posterior"]))
     finished.sort(key=lambda done: done.index)
     tables = {name: pd.concat([done.tables[name] for done in finished], ignore_index=True) for name in plan.datasets}
-    return Fit(plan.run, plan.scan, MemoryTables(tables), _InMemory(plan))
+    learnt = campaign_in_memory(plan, tables, Crew(workers, client, silent))
+    run = {**plan.run, "campaign": learnt.about}
+    return Fit(run, plan.scan, MemoryTables({**tables, **learnt.tables}), _InMemory(plan, learnt))

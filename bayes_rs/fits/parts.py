@@ -27,7 +27,7 @@ from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
 
 _log = logging.getLogger(__name__)
-_FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
+FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
 """What the likelihood of a record may fail with."""
 _CHUNK = 128
 """Records that are sampled together; memory, not the result, depends on it."""
@@ -216,7 +216,7 @@ def _fit_those_that_can(
     """Fit some records of a batch; return those that could be, and their draws; add why the others could not be."""
     try:
         return rows, fit_batch(batch.take(rows), shared.noise, shared.options, predict=shared.keep_draws)
-    except _FAILED as error:
+    except FAILED as error:
         if len(rows) == 1:
             reasons.append(str(error))
             return rows[:0], None

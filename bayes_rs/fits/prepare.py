@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch
+from bayes_rs.fits.campaign_groups import campaign_groups
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
@@ -49,6 +50,7 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
         gain_turn(records, scan),
         own_noise,
+        group=campaign_groups(records, options.campaign_group),
     )
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]

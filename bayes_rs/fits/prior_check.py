@@ -25,6 +25,7 @@ from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
 
 COLUMNS = ("factor", "stress", "prior_width", "width", "width_ratio", "shift", "decided", "decided_by")
+_NO_CAMPAIGN = {"campaign": "off", "campaign_group": None, "campaign_unsteady": False}
 _DECIDED = 0.25
 """A stress whose interval follows the prior's width by less than this power is decided by the data."""
 
@@ -80,7 +81,7 @@ def prior_sensitivity(
     >>> table.query("stress == 'uu' and factor == 1")["width_ratio"].item()
     1.0
     """
-    own, choice = split_options({**options, "seed": seed, "draws": "float64"})
+    own, choice = split_options({**options, "seed": seed, "draws": "float64", **_NO_CAMPAIGN})
     for factor in factors:
         check_positive(factor, what="factor", unit="", where="the check of the prior")
     every = sorted({1.0, *(float(factor) for factor in factors)})

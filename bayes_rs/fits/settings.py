@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import ON_BAD_FILE, FileOptions
-from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, prior_file
 from bayes_rs.options import (
     about_option,
     check_plain,
@@ -238,6 +238,7 @@ class Settings:
     def input_files(self) -> list[str]:
         """Return the files that the settings name and that are there: what is read, and may not lie in the output."""
         named = [*self.files.files, *self.records.motion, self.noise.noise, self.noise.flow, self.scan.scan]
+        named.append(prior_file(self.fit.prior))
         return [str(name) for name in named if name is not None and Path(name).exists()]
 
     def with_whole_paths(self) -> Settings:
@@ -250,6 +251,8 @@ class Settings:
         def place(name: str | Path) -> str:
             return str(folder / name)
 
+        file = prior_file(self.fit.prior)
+
         def place_model(name: str) -> str:
             file, at, changes = name.partition(".toml@")
             return place(file) + at + changes if at or name.endswith(".toml") else name
@@ -259,6 +262,7 @@ class Settings:
             scan=replace(self.scan, scan=_unless_none(place_model, self.scan.scan)),
             files=replace(self.files, files=tuple(map(place, self.files.files))),
             records=replace(self.records, motion=tuple(map(place, self.records.motion))),
+            fit=self.fit if file is None else replace(self.fit, prior=f"campaign:{place(file)}"),
             noise=replace(
                 self.noise,
                 noise=_unless_none(place, self.noise.noise),
@@ -291,7 +295,7 @@ class Settings:
             raise InputError(f"No settings file {str(file)!r}: give a TOML file, or the run.json of a run.")
         from bayes_rs.toml_file import read_toml  # noqa: PLC0415 - help need not wait for it
 
-        plain = _of_run(file) if file.suffix == RUN_SUFFIX else read_toml(file)
+        plain = _with_prior_file(_of_run(file) if file.suffix == RUN_SUFFIX else read_toml(file), file.parent)
         return cls.from_plain(plain, where=f"settings file {str(file)!r}")._placed_in(file.parent)
 
     @classmethod
@@ -375,6 +379,15 @@ def _check_names(values: Mapping[str, Any], cls: type, place: tuple[str, ...], w
 
 def _unless_none(function: Callable[[str], str], value: str | None) -> str | None:
     return None if value is None else function(value)
+
+
+def _with_prior_file(plain: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Return settings that name the file of a prior by its whole path: the prior is read as soon as they are made."""
+    of_fit = plain.get("fit")
+    file = prior_file(of_fit.get("prior")) if isinstance(of_fit, Mapping) else None
+    if not file:
+        return plain
+    return {**plain, "fit": {**plain["fit"], "prior": f"campaign:{(folder / file).absolute()}"}}
 
 
 def _of_run(file: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Figures: posteriors, stresses over time, Lumley's triangle, comparisons of scans, spectra."""
+"""Figures: posteriors, campaigns, stresses over time, Lumley's triangle, comparisons of scans, spectra."""
 
 import lazy_loader
 

@@ -1,3 +1,4 @@
+from .campaign_plot import campaign as campaign
 from .corner_plot import corner as corner
 from .lumley_plot import lumley as lumley
 from .of_others import comparison as comparison

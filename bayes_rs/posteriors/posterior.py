@@ -22,7 +22,7 @@ class Posterior:
     likelihood : Likelihood
         Likelihood of n_record records.
     prior : Prior
-        The prior of R, the same for all.
+        The prior of R: the same for all, or one that `Prior.for_records` made for these.
     nuisances : RecordNuisances
         What else is uncertain; nothing by default.
     """
@@ -70,4 +70,4 @@ class Posterior:
 
     def take(self, records: NDArray[np.int64]) -> Posterior:
         """Return the posterior of some of the records."""
-        return Posterior(self.likelihood.take(records), self.prior, self.nuisances.take(records))
+        return Posterior(self.likelihood.take(records), self.prior.take(records), self.nuisances.take(records))

@@ -1,3 +1,5 @@
+from .campaign import CampaignPrior as CampaignPrior
+from .campaign import load_campaign_prior as load_campaign_prior
 from .flat import FlatPrior as FlatPrior
 from .gaussian import GaussianPrior as GaussianPrior
 from .interface import Prior as Prior

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, as_generator, check_positive
 from bayes_rs.errors import InputError
@@ -63,6 +65,17 @@ class Prior(ABC):
         """Return the same prior with all its widths multiplied by `factor`: for checks of what the prior decides."""
         raise InputError(f"Prior {self.name!r} cannot be widened by {factor:g}: give it the method `widened`.")
 
+    def for_records(self, wind_speed: FloatArray, group: Sequence[object] | None = None) -> Prior:  # noqa: ARG002
+        """Return the prior of records of these wind speeds, shape (n_record,), m/s, and groups.
+
+        It is this prior itself, unless the prior knows how stresses depend on the wind speed or on the group.
+        """
+        return self
+
+    def take(self, records: NDArray[np.int64]) -> Prior:  # noqa: ARG002
+        """Return the prior of some of the records: this prior itself, unless it differs from record to record."""
+        return self
+
 
 class NormalPrior(Prior):
     """A prior whose coordinates are independent and standard normal: all of its content is in the map."""
@@ -75,6 +88,39 @@ class NormalPrior(Prior):
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
         return rng.standard_normal((n_draw, self.n_coordinate))
+
+
+class LogRatioPrior(NormalPrior):
+    """A prior of ln uu, ln vv/uu, ln ww/uu and artanh of ρ_uv, ρ_uw and ρ_vw·u: normal and independent."""
+
+    @property
+    @abstractmethod
+    def centre(self) -> FloatArray:
+        """Means of these six numbers, shape (6,)."""
+
+    @property
+    @abstractmethod
+    def spread(self) -> FloatArray:
+        """Standard deviations of these six numbers, shape (6,)."""
+
+    def stress(self, coordinate: FloatArray) -> FloatArray:
+        """Map coordinates to stresses."""
+        inner = self.centre + self.spread * coordinate
+        log_uu, log_vv, log_ww = inner[..., 0], inner[..., 0] + inner[..., 1], inner[..., 0] + inner[..., 2]
+        return stress_from_correlations(log_uu, log_vv, log_ww, np.tanh(inner[..., 3:]))
+
+    def coordinate(self, stress: FloatArray) -> FloatArray:
+        """Return the coordinates, shape (..., 6), of positive definite stresses, shape (..., 6), m² s⁻²."""
+        return np.asarray((log_ratios(stress) - self.centre) / self.spread)
+
+
+def log_ratios(stress: FloatArray) -> FloatArray:
+    """Return ln uu, ln vv/uu, ln ww/uu and artanh of ρ_uv, ρ_uw and ρ_vw·u, shape (..., 6), of stresses (..., 6)."""
+    uu, vv, ww, uv, uw, vw = np.moveaxis(stress, -1, 0)
+    rho_uv, rho_uw, rho_vw = uv / np.sqrt(uu * vv), uw / np.sqrt(uu * ww), vw / np.sqrt(vv * ww)
+    partial = (rho_vw - rho_uv * rho_uw) / np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
+    fisher = np.arctanh(np.stack([rho_uv, rho_uw, partial], axis=-1))
+    return np.concatenate([np.stack([np.log(uu), np.log(vv / uu), np.log(ww / uu)], axis=-1), fisher], axis=-1)
 
 
 def stress_from_correlations(log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray) -> FloatArray:

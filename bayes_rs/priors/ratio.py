@@ -9,20 +9,11 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.priors.interface import NormalPrior, stress_from_correlations
-
-
-def _log_ratio_stress(centre: FloatArray, spread: FloatArray, coordinate: FloatArray) -> FloatArray:
-    """Map standard normal coordinates by the centres and spreads of ln uu, ln vv/uu, ln ww/uu and three artanh ρ."""
-    log_uu = centre[0] + spread[0] * coordinate[..., 0]
-    log_vv = log_uu + centre[1] + spread[1] * coordinate[..., 1]
-    log_ww = log_uu + centre[2] + spread[2] * coordinate[..., 2]
-    correlation = np.tanh(spread[3:] * coordinate[..., 3:] + centre[3:])
-    return stress_from_correlations(log_uu, log_vv, log_ww, correlation)
+from bayes_rs.priors.interface import LogRatioPrior
 
 
 @dataclass(frozen=True)
-class WeakPrior(NormalPrior):
+class WeakPrior(LogRatioPrior):
     """Almost nothing about the size of the turbulence, atmospheric ratios for its shape.
 
     Parameters
@@ -72,12 +63,15 @@ class WeakPrior(NormalPrior):
             check_positive(getattr(self, key), what=key, unit="", where="prior 'weak'")
         check_finite(self.z_uw, what="z_uw", unit="", where="prior 'weak'")
 
-    def stress(self, coordinate: FloatArray) -> FloatArray:
-        """Map coordinates to stresses."""
-        medians = np.log([self.median_uu, self.ratio_vv, self.ratio_ww])
-        centre = np.concatenate([medians, [0.0, self.z_uw, 0.0]])
-        spread = np.array([self.log_sd_uu, self.log_sd_vv, self.log_sd_ww, self.z_sd, self.z_sd, self.z_sd])
-        return _log_ratio_stress(centre, spread, coordinate)
+    @property
+    def centre(self) -> FloatArray:
+        """Return the means of the logarithms and Fisher transforms, shape (6,)."""
+        return np.array([*np.log([self.median_uu, self.ratio_vv, self.ratio_ww]), 0.0, self.z_uw, 0.0])
+
+    @property
+    def spread(self) -> FloatArray:
+        """Return their standard deviations, shape (6,)."""
+        return np.array([self.log_sd_uu, self.log_sd_vv, self.log_sd_ww, self.z_sd, self.z_sd, self.z_sd])
 
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""
@@ -97,7 +91,7 @@ class WeakPrior(NormalPrior):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RatioPrior(NormalPrior):
+class RatioPrior(LogRatioPrior):
     """The form of `WeakPrior` with every number your own: size, ratios and correlations, each with its width.
 
     Parameters
@@ -157,11 +151,15 @@ class RatioPrior(NormalPrior):
                     f"Invalid {key} {value} in prior 'ratio': it is a correlation, and must be above -1 and below 1."
                 )
 
-    def stress(self, coordinate: FloatArray) -> FloatArray:
-        """Map coordinates to stresses."""
-        centre = np.concatenate([np.log([self.uu, self.vv, self.ww]), np.arctanh([self.uv, self.uw, self.vw])])
-        spread = np.array([self.sd_uu, self.sd_vv, self.sd_ww, self.sd_uv, self.sd_uw, self.sd_vw])
-        return _log_ratio_stress(centre, spread, coordinate)
+    @property
+    def centre(self) -> FloatArray:
+        """Return the means of the logarithms and Fisher transforms, shape (6,)."""
+        return np.concatenate([np.log([self.uu, self.vv, self.ww]), np.arctanh([self.uv, self.uw, self.vw])])
+
+    @property
+    def spread(self) -> FloatArray:
+        """Return their standard deviations, shape (6,)."""
+        return np.array([self.sd_uu, self.sd_vv, self.sd_ww, self.sd_uv, self.sd_uw, self.sd_vw])
 
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""

@@ -13,6 +13,7 @@ from typing import Any
 
 from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
+from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.flat import FlatPrior
 from bayes_rs.priors.gaussian import GaussianPrior
 from bayes_rs.priors.interface import N_COORDINATE, Prior
@@ -23,6 +24,7 @@ from bayes_rs.priors.sample import SamplePrior
 __all__ = [
     "N_COORDINATE",
     "PRIORS",
+    "CampaignPrior",
     "FlatPrior",
     "GaussianPrior",
     "MannPrior",
@@ -30,6 +32,7 @@ __all__ = [
     "RatioPrior",
     "SamplePrior",
     "WeakPrior",
+    "load_campaign_prior",
     "make_prior",
 ]
 
@@ -44,7 +47,8 @@ def make_prior(prior: str | Prior) -> Prior:
     ----------
     prior : str or Prior
         A name in ``PRIORS``, as ``"weak"``; a name with parameters, such as ``"weak:log_sd_vv=1"`` or
-        ``"ratio:vv=0.6,sd_vv=0.3"``; or a prior, such as ``WeakPrior(log_sd_vv=1.0)``.
+        ``"ratio:vv=0.6,sd_vv=0.3"``; ``"campaign:FILE"`` for one that a campaign has learnt and saved; or a prior,
+        such as ``WeakPrior(log_sd_vv=1.0)``.
 
     Returns
     -------
@@ -66,6 +70,10 @@ def make_prior(prior: str | Prior) -> Prior:
     if isinstance(prior, Prior):
         return prior
     name, colon, rest = str(prior).partition(":")
+    if name == "campaign":
+        if not rest.strip():
+            raise InputError("Invalid prior 'campaign': write campaign:FILE, with the file that a campaign saved.")
+        return load_campaign_prior(rest.strip())
     make = PRIORS[check_choice(name, tuple(PRIORS), what="prior")]
     return make(**_parameters(make, name, rest)) if colon else make()
 

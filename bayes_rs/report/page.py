@@ -19,6 +19,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.records.report import describe_report
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import Availability, make_availability
+from bayes_rs.report.campaign_section import campaign_section
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
@@ -69,6 +70,7 @@ def render(found: ReportData, *, title: str | None = None) -> str:
     sections = [
         ("read", "What was read", _read_section(found, availability)),
         ("stresses", "Stresses over time", _stress_section(found, series)),
+        ("campaign", "Campaign", campaign_section(found.campaign)),
         ("record", "One record", _record_section(found, timed=timed)),
         ("decided", "What the data said", _decided_section(found, data)),
         ("intensity", "Turbulence intensity", _intensity_section(found, data)),

@@ -17,6 +17,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.report.campaign_section import CampaignShown, campaign_shown
 
 NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
 """Columns of the summary that the page shows."""
@@ -54,6 +55,8 @@ class ReportData:
         As from `Fit.directions`.
     sight, prior, target : str
         In words.
+    campaign : CampaignShown or str
+        The campaign, or why there is none.
     """
 
     run: dict[str, Any]
@@ -73,6 +76,7 @@ class ReportData:
     sight: str
     prior: str
     target: str
+    campaign: CampaignShown | str = ""
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
@@ -136,6 +140,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         sight=str(fit.run["sight"]),
         prior=str(fit.run["prior"]),
         target=str(own["target"]),
+        campaign=campaign_shown(fit),
     )
 
 

@@ -1,0 +1,161 @@
+"""The hyperprior: how a campaign's records scatter, and where their means lie, before there are data.
+
+All arrays have the chains first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.campaign.cells import Cells
+from bayes_rs.priors.interface import N_COORDINATE
+
+ETA = 2.0
+"""Exponent of the LKJ density of the correlations: 1 is flat over matrices, 2 holds them a little nearer to 0."""
+MOST_SCATTER = 0.9
+"""The records' own scatter is at most this share of the variance of any direction; the rest they have in common."""
+_ORDER = np.array([1, 2, 3, 4, 5, 0])
+"""The size comes last, so that the last pivot of a Cholesky factor is the variance that it has of its own."""
+_HALF = 0.5 * N_COORDINATE
+
+
+def log_density_of_scatter(scatter: FloatArray) -> FloatArray:
+    """Return the log-density, up to a constant, of the records' covariance Σ, shape (n,), at Σ (n, 6, 6).
+
+    Σ = diag(τ) C diag(τ) with τ uniform on (0, 1) and C of density |C|^(η − 1) (Lewandowski, Kurowicka and Joe 2009),
+    where Σ has no eigenvalue above `MOST_SCATTER`; with the Jacobian of Σ in τ and C
+    that is |Σ|^(η − 1) Π Σ_ii^(1 − η − 6/2).
+    """
+    eigenvalue = np.linalg.eigvalsh(scatter)
+    inside = (eigenvalue[:, 0] > 0.0) & (eigenvalue[:, -1] < MOST_SCATTER)
+    safe = np.where(inside[:, None], eigenvalue, 0.5)
+    diagonal = np.where(inside[:, None], np.einsum("nii->ni", scatter), 0.5)
+    density = (ETA - 1.0) * np.log(safe).sum(axis=1) - (ETA - 1.0 + _HALF) * np.log(diagonal).sum(axis=1)
+    return np.where(inside, density, -np.inf)
+
+
+def draw_scatter(n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw covariances Σ from the hyperprior, shape (n, 6, 6), by rejection."""
+    found: list[FloatArray] = []
+    missing = n
+    while missing > 0:
+        scatter = _draw_untruncated(2 * missing + 16, rng)
+        scatter = scatter[np.linalg.eigvalsh(scatter)[:, -1] < MOST_SCATTER][:missing]
+        found.append(scatter)
+        missing -= len(scatter)
+    return np.concatenate(found)
+
+
+def _draw_untruncated(n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw diag(τ) C diag(τ), shape (n, 6, 6), by the partial correlations of C."""
+    root = np.zeros((n, N_COORDINATE, N_COORDINATE))
+    root[:, 0, 0] = 1.0
+    for i in range(1, N_COORDINATE):
+        left = np.ones(n)
+        for j in range(i):
+            shape = ETA + 0.5 * (N_COORDINATE - 2 - j)
+            partial = 2.0 * rng.beta(shape, shape, n) - 1.0
+            root[:, i, j] = partial * np.sqrt(left)
+            left -= root[:, i, j] ** 2
+        root[:, i, i] = np.sqrt(left)
+    root *= rng.uniform(size=(n, N_COORDINATE))[:, :, None]
+    return np.asarray(root @ root.swapaxes(-1, -2))
+
+
+@dataclass(frozen=True, eq=False)
+class Hyper:
+    """Hyperparameters of n campaigns, or chains.
+
+    Parameters
+    ----------
+    scatter : ndarray, shape (n, 6, 6)
+        Covariance Σ of the records' coordinates about their means.
+    speed_share : ndarray, shape (n,)
+        φ: share of the size's own variance that depends on the wind speed.
+    group_share : ndarray, shape (n,)
+        κ: share of the means' variance that differs from group to group; 0 where there is one group.
+    score : ndarray, shape (n, 6 n_group + n_bin)
+        Independent standard normal numbers of which the means are made.
+
+    Notes
+    -----
+    With V = I − Σ = F Fᵀ, where the last column of F moves the size alone, the mean of the records of bin b and group g
+    is F u, and all six numbers u have variance 1: u = γ_g, but for the last, which is √(1 − φ) γ_g + √φ f_b. The γ of
+    two groups have the correlation 1 − κ, the f of two bins that of `size_correlation`. So a record's coordinates have
+    the covariance V + Σ = I, whatever the hyperparameters are.
+    """
+
+    scatter: FloatArray
+    speed_share: FloatArray
+    group_share: FloatArray
+    score: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of campaigns."""
+        return len(self.scatter)
+
+    def means(self, cells: Cells) -> FloatArray:
+        """Return the means of the cells, shape (n, n_cell, 6)."""
+        root = mean_root(self.scatter)
+        level = self.group_levels(cells)[:, cells.group_of]
+        size = self.size_levels(cells)[:, cells.bin_of]
+        level[:, :, -1] = np.sqrt(1.0 - self.speed_share)[:, None] * level[:, :, -1]
+        level[:, :, -1] += np.sqrt(self.speed_share)[:, None] * size
+        return np.asarray(level @ root.swapaxes(-1, -2))
+
+    def group_levels(self, cells: Cells) -> FloatArray:
+        """Return γ, shape (n, n_group, 6)."""
+        score = self.score[:, : N_COORDINATE * cells.n_group].reshape(len(self), N_COORDINATE, cells.n_group)
+        return np.asarray(np.einsum("ngh,njh->ngj", group_root(self.group_share, cells.n_group), score))
+
+    def size_levels(self, cells: Cells) -> FloatArray:
+        """Return f, shape (n, n_bin)."""
+        return np.asarray(self.score[:, N_COORDINATE * cells.n_group :] @ cells.kernel_root.T)
+
+    def where(self, accept: NDArray[np.bool_], other: Hyper) -> Hyper:
+        """Return `other` where `accept`, and this elsewhere."""
+        return Hyper(
+            np.where(accept[:, None, None], other.scatter, self.scatter),
+            np.where(accept, other.speed_share, self.speed_share),
+            np.where(accept, other.group_share, self.group_share),
+            np.where(accept[:, None], other.score, self.score),
+        )
+
+    def with_score(self, score: FloatArray) -> Hyper:
+        """Return the same with other scores."""
+        return replace(self, score=score)
+
+
+def draw_hyper(n: int, cells: Cells, rng: np.random.Generator) -> Hyper:
+    """Draw hyperparameters of n campaigns."""
+    group_share = rng.uniform(size=n) if cells.n_group > 1 else np.zeros(n)
+    score = rng.standard_normal((n, N_COORDINATE * cells.n_group + cells.n_bin))
+    return Hyper(draw_scatter(n, rng), rng.uniform(size=n), group_share, score)
+
+
+def draw_coordinates(hyper: Hyper, cells: Cells, rng: np.random.Generator) -> FloatArray:
+    """Draw the coordinates of all records, shape (n, n_record, 6)."""
+    root = np.linalg.cholesky(hyper.scatter)
+    normal = rng.standard_normal((len(hyper), len(cells.of_record), N_COORDINATE))
+    return np.asarray(hyper.means(cells)[:, cells.of_record] + normal @ root.swapaxes(-1, -2))
+
+
+def mean_root(scatter: FloatArray) -> FloatArray:
+    """Return F, shape (n, 6, 6), with F Fᵀ = I − Σ; its last column moves the size alone."""
+    free = np.eye(N_COORDINATE) - scatter
+    root = np.empty_like(scatter)
+    root[:, _ORDER] = np.linalg.cholesky(free[:, _ORDER[:, None], _ORDER])
+    return root
+
+
+def group_root(group_share: FloatArray, n_group: int) -> FloatArray:
+    """Return the symmetric roots of the correlation (1 − κ) + κ δ_gh between groups, shape (n, n_group, n_group)."""
+    if n_group == 1:
+        return np.ones((len(group_share), 1, 1))
+    own = np.sqrt(group_share)
+    common = (np.sqrt(group_share + n_group * (1.0 - group_share)) - own) / n_group
+    return np.asarray(common[:, None, None] + own[:, None, None] * np.eye(n_group))

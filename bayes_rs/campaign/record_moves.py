@@ -1,0 +1,324 @@
+"""Moves that need the records' likelihoods: of the records, and of the hyperparameters with the records carried along.
+
+Arrays have the many last, so that NumPy's loops are long: coordinates are (n, n_chain, n_record).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.campaign import small_matrices
+from bayes_rs.campaign.cells import Cells
+from bayes_rs.campaign.hyperprior import Hyper, group_root, log_density_of_scatter, mean_root
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.priors.interface import N_COORDINATE
+
+_STEP = 1e-4
+"""Central difference step of the coordinates; it only shapes proposals."""
+_DOF = 8.0
+"""Degrees of freedom of the independence proposal."""
+_KINDS = ("shift", "scale", "row", "spread")
+_SIZES = np.array([0.3, 1.0, 3.0])
+"""Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """Normal approximation of each record's likelihood: exp(linear · z − ½ z precision z).
+
+    Parameters
+    ----------
+    precision : ndarray, shape (n, n, n_record)
+        Jᵀ J, with J the Jacobian of the whitened residuals.
+    linear : ndarray, shape (n, n_record)
+        Linear term.
+    """
+
+    precision: FloatArray
+    linear: FloatArray
+
+
+def expand(posterior: Posterior, at: FloatArray) -> Expansion:
+    """Expand the likelihood of each record about coordinates, shape (n, n_record)."""
+    n = posterior.n_coordinate
+    around = at.T[:, None, :] + _STEP * np.concatenate([np.eye(n), -np.eye(n)])
+    seen = posterior.seen(around)
+    residual = posterior.likelihood.whitened_residual(*seen)
+    jacobian = (residual[:, :n] - residual[:, n:]) / (2.0 * _STEP)
+    height = posterior.likelihood.log_density(*seen)
+    with np.errstate(invalid="ignore"):  # two points without density have no slope
+        gradient = (height[:, :n] - height[:, n:]) / (2.0 * _STEP)
+    usable = np.asarray(np.isfinite(gradient).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2)))
+    jacobian = np.where(usable[:, None, None], jacobian, 0.0)
+    gradient = np.where(usable[:, None], gradient, 0.0)
+    precision = jacobian @ jacobian.swapaxes(-1, -2)
+    linear = gradient + (precision @ at.T[..., None])[..., 0]
+    return Expansion(np.ascontiguousarray(np.moveaxis(precision, 0, -1)), np.ascontiguousarray(linear.T))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The normal approximation of the records' posteriors, given the hyperparameters.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (n, n_chain, n_record)
+        Means of the records' priors.
+    of_prior : ndarray, shape (n, n, n_chain)
+        Precisions of the records' priors.
+    log_prior_volume : ndarray, shape (n_chain,)
+        ½ ln det of these.
+    lower : ndarray, shape (n, n, n_chain, n_record)
+        L, with L Lᵀ the precision of the approximation.
+    middle : ndarray, shape (n, n_chain, n_record)
+        Lᵀ m, with m its mean.
+    log_volume : ndarray, shape (n_chain, n_record)
+        ln det L.
+    """
+
+    mean: FloatArray
+    of_prior: FloatArray
+    log_prior_volume: FloatArray
+    lower: FloatArray
+    middle: FloatArray
+    log_volume: FloatArray
+
+    def log_prior(self, z: FloatArray) -> FloatArray:
+        """Return the log-density of the records' priors, up to a constant, shape (n_chain, n_record)."""
+        centred = z - self.mean
+        square = np.einsum("icr,icr->cr", centred, np.einsum("ijc,jcr->icr", self.of_prior, centred))
+        return np.asarray(self.log_prior_volume[:, None] - 0.5 * square)
+
+    def score(self, z: FloatArray) -> FloatArray:
+        """Return Lᵀ (z − m): standard normal numbers, as far as the approximation holds."""
+        return np.stack([np.einsum("kcr,kcr->cr", self.lower[i:, i], z[i:]) for i in range(len(z))]) - self.middle
+
+    def place(self, score: FloatArray) -> FloatArray:
+        """Return z with the score that is given."""
+        return small_matrices.solve_upper(self.lower, self.middle + score)
+
+    def where(self, accept: NDArray[np.bool_], other: Frame) -> Frame:
+        """Return `other` for the chains that accept."""
+        if not accept.any():
+            return self
+        if accept.all():
+            return other
+        return Frame(
+            np.where(accept[:, None], other.mean, self.mean),
+            np.where(accept, other.of_prior, self.of_prior),
+            np.where(accept, other.log_prior_volume, self.log_prior_volume),
+            np.where(accept[:, None], other.lower, self.lower),
+            np.where(accept[:, None], other.middle, self.middle),
+            np.where(accept[:, None], other.log_volume, self.log_volume),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where all chains are.
+
+    Parameters
+    ----------
+    hyper : Hyper
+        Hyperparameters, one entry a chain.
+    coordinate : ndarray, shape (n, n_chain, n_record)
+        Coordinates of the records, nuisances last.
+    height : ndarray, shape (n_chain, n_record)
+        Log-likelihoods of the records.
+    """
+
+    hyper: Hyper
+    coordinate: FloatArray
+    height: FloatArray
+
+
+class RecordMoves:
+    """Moves that need the records' likelihoods.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Posterior of the records, sorted by cells; its prior gives the map to stresses alone.
+    cells : Cells
+        Their cells.
+    expansion : Expansion
+        What shapes the proposals; any is exact.
+    rng : numpy.random.Generator
+        Source of random numbers.
+    """
+
+    def __init__(self, posterior: Posterior, cells: Cells, expansion: Expansion, rng: np.random.Generator) -> None:
+        self.posterior = posterior
+        self.cells = cells
+        self.rng = rng
+        self.log_step = {kind: np.zeros(N_COORDINATE) for kind in _KINDS}
+        self.tried = dict.fromkeys(("records, independent", "records, walk", *_KINDS), 0.0)
+        self.accepted = dict.fromkeys(self.tried, 0.0)
+        self.shape_by(expansion, np.full(N_COORDINATE, 0.25))
+
+    def shape_by(self, expansion: Expansion, scatter: FloatArray) -> None:
+        """Take another expansion, and typical variances (6,) of the coordinates, to shape the proposals."""
+        self.expansion = expansion
+        mean = expansion.precision[:N_COORDINATE, :N_COORDINATE].mean(axis=-1)
+        told, self.axes = np.linalg.eigh(mean)
+        spread = np.einsum("ji,j->i", self.axes**2, scatter)
+        known = np.maximum(told, 0.0) * spread
+        known = known / (1.0 + known)  # share of a record's scatter that its own data tell
+        n_record = self.cells.n_record
+        self.scale = {
+            "shift": 1.0 / np.sqrt(1.0 + n_record * known / spread),
+            "scale": 1.0 / np.sqrt(1.0 + 2.0 * n_record * known**2),
+            "spread": np.ones(N_COORDINATE),
+        }
+        self.row_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
+
+    def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
+        """Return the log-likelihoods, shape (n_chain, n_record)."""
+        z = np.ascontiguousarray(coordinate.transpose(2, 1, 0))
+        return np.ascontiguousarray(self.posterior.likelihood.log_density(*self.posterior.seen(z)).T)
+
+    def frame(self, hyper: Hyper) -> Frame:
+        """Return the normal approximation at hyperparameters."""
+        d, n_chain = self.posterior.n_coordinate, len(hyper)
+        precision = np.linalg.inv(hyper.scatter)
+        of_prior = np.zeros((d, d, n_chain))
+        of_prior[:N_COORDINATE, :N_COORDINATE] = np.moveaxis(precision, 0, -1)
+        extra = np.arange(N_COORDINATE, d)
+        of_prior[extra, extra] = 1.0
+        mean = np.zeros((d, n_chain, self.cells.n_record))
+        of_cell = hyper.means(self.cells)
+        mean[:N_COORDINATE] = np.moveaxis(of_cell, -1, 0)[:, :, self.cells.of_record]
+        pulled = np.zeros_like(mean)
+        pulled[:N_COORDINATE] = np.moveaxis(of_cell @ precision, -1, 0)[:, :, self.cells.of_record]
+        lower = small_matrices.factor(self.expansion.precision[:, :, None, :] + of_prior[..., None])
+        pulled += self.expansion.linear[:, None, :]
+        return Frame(
+            mean,
+            of_prior,
+            np.asarray(-0.5 * np.linalg.slogdet(hyper.scatter)[1]),
+            lower,
+            small_matrices.solve_lower(lower, pulled),
+            small_matrices.log_diagonal(lower),
+        )
+
+    def move_records(self, state: State, frame: Frame, *, walk: bool) -> State:
+        """Move every record by itself: by the independence proposal and, if asked, by a walk of the same shape."""
+        d, z, height = self.posterior.n_coordinate, state.coordinate, state.height
+
+        def log_proposal(score: FloatArray) -> FloatArray:
+            return np.asarray(-0.5 * (_DOF + d) * np.log1p(np.einsum("icr,icr->cr", score, score) / _DOF))
+
+        new = self.rng.standard_normal(z.shape) * np.sqrt(_DOF / self.rng.chisquare(_DOF, height.shape))
+        trial = frame.place(new)
+        now, then = frame.log_prior(z), frame.log_prior(trial)
+        trial_height = self.log_likelihood(trial)
+        log_ratio = trial_height - height + then - now + log_proposal(frame.score(z)) - log_proposal(new)
+        accept = self._accept("records, independent", log_ratio)
+        z, height = np.where(accept, trial, z), np.where(accept, trial_height, height)
+        if walk:
+            now = np.where(accept, then, now)
+            size = self.rng.choice([0.3, 1.0, 2.4], height.shape) / np.sqrt(d)
+            trial = z + small_matrices.solve_upper(frame.lower, self.rng.standard_normal(z.shape) * size)
+            trial_height = self.log_likelihood(trial)
+            accept = self._accept("records, walk", trial_height - height + frame.log_prior(trial) - now)
+            z, height = np.where(accept, trial, z), np.where(accept, trial_height, height)
+        return State(state.hyper, z, height)
+
+    def shift(self, state: State, frame: Frame, axis: int, *, adapt: bool) -> tuple[State, Frame]:
+        """Move the means, of all groups or of one, along an axis."""
+        hyper, cells = state.hyper, self.cells
+        n_chain = len(hyper)
+        step = self._steps("shift", axis, n_chain) * self.scale["shift"][axis] * self.rng.standard_normal(n_chain)
+        moved = np.ones((n_chain, cells.n_group))
+        if cells.n_group > 1:
+            one = self.rng.integers(2 * cells.n_group, size=n_chain)  # half of the moves are of one group
+            moved[one < cells.n_group] = np.eye(cells.n_group)[one[one < cells.n_group]]
+        # in the numbers γ, of which the means are F D γ
+        change = np.linalg.solve(mean_root(hyper.scatter), np.broadcast_to(self.axes[:, axis, None], (n_chain, 6, 1)))
+        change = change[..., 0] * step[:, None]
+        change[:, -1] /= np.sqrt(1.0 - hyper.speed_share)
+        between = np.linalg.solve(group_root(hyper.group_share, cells.n_group), moved[..., None])[..., 0]
+        score = hyper.score.copy()
+        score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
+        log_ratio = 0.5 * np.sum(hyper.score**2 - score**2, axis=1)
+        return self._carry("shift", axis, state, frame, hyper.with_score(score), log_ratio, adapt=adapt)
+
+    def stretch(self, state: State, frame: Frame, kind: str, axis: int, *, adapt: bool) -> tuple[State, Frame]:
+        """Change Σ: its spread along an axis, what the axis has in common with others, or the spread of a coordinate.
+
+        Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
+        grows by |A|⁷. The scores of the means are held fixed.
+
+        Parameters
+        ----------
+        state, frame : State, Frame
+            Where the chains are.
+        kind : str
+            ``"scale"``, ``"row"`` or ``"spread"``.
+        axis : int
+            Which axis, or coordinate.
+        adapt : bool
+            Whether the step is adapted.
+
+        Returns
+        -------
+        state, frame : State, Frame
+            Where they are then.
+        """
+        hyper = state.hyper
+        n_chain = len(hyper)
+        basis = np.eye(N_COORDINATE) if kind == "spread" else self.axes
+        size = self._steps(kind, axis, n_chain)[:, None]
+        if kind == "row":
+            slope = size * ((self.row_scale[axis] * self.rng.standard_normal((n_chain, N_COORDINATE))) @ basis.T)
+        else:
+            slope = size * self.scale[kind][axis] * self.rng.standard_normal((n_chain, 1)) * basis[:, axis]
+        rate = slope @ basis[:, axis]
+        growth = np.where(np.abs(rate) > 1e-8, np.expm1(rate) / np.where(np.abs(rate) > 1e-8, rate, 1.0), 1.0)
+        matrix = np.eye(N_COORDINATE) + basis[:, axis, None] * (growth[:, None] * slope)[:, None, :]
+        scatter = matrix @ hyper.scatter @ matrix.swapaxes(-1, -2)
+        scatter = 0.5 * (scatter + scatter.swapaxes(-1, -2))
+        log_ratio = log_density_of_scatter(scatter) - log_density_of_scatter(hyper.scatter)
+        log_ratio += (N_COORDINATE + 1.0) * rate
+        new = hyper.where(np.isfinite(log_ratio), replace(hyper, scatter=scatter))
+        return self._carry(kind, axis, state, frame, new, log_ratio, adapt=adapt)
+
+    def _carry(
+        self, kind: str, axis: int, state: State, frame: Frame, hyper: Hyper, log_ratio: FloatArray, *, adapt: bool
+    ) -> tuple[State, Frame]:
+        """Accept or reject new hyperparameters; the records keep their scores Lᵀ (z − m) in the new approximation.
+
+        Were the likelihoods normal, this would be a move of the hyperparameters with the records integrated out.
+        """
+        new_frame = self.frame(hyper)
+        trial = new_frame.place(frame.score(state.coordinate))
+        height = self.log_likelihood(trial)
+        change = height - state.height + new_frame.log_prior(trial) - frame.log_prior(state.coordinate)
+        change += frame.log_volume - new_frame.log_volume
+        with np.errstate(invalid="ignore"):
+            accept = self._accept(kind, log_ratio + np.sum(change, axis=1))
+        if adapt:
+            self.log_step[kind][axis] += 0.5 * (accept.mean() - 0.4)
+        where = accept[:, None]
+        return (
+            State(
+                state.hyper.where(accept, hyper),
+                np.where(where, trial, state.coordinate),
+                np.where(where, height, state.height),
+            ),
+            frame.where(accept, new_frame),
+        )
+
+    def _steps(self, kind: str, axis: int, n_chain: int) -> FloatArray:
+        """Return sizes of steps, shape (n_chain,)."""
+        return np.asarray(np.exp(self.log_step[kind][axis]) * self.rng.choice(_SIZES, n_chain))
+
+    def _accept(self, what: str, log_ratio: FloatArray) -> NDArray[np.bool_]:
+        accept = np.log(self.rng.uniform(size=log_ratio.shape)) < log_ratio
+        self.tried[what] += accept.size
+        self.accepted[what] += float(np.count_nonzero(accept))
+        return np.asarray(accept)

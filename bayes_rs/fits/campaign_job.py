@@ -1,0 +1,213 @@
+"""The campaign of a fit: what is learnt from all its records, and their fit under the prior that was learnt."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import csv
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.campaign.record_choice import choose_records
+from bayes_rs.campaign.sampling import MOST_RECORDS, sample_campaign
+from bayes_rs.campaign.table import campaign_table
+from bayes_rs.errors import InputError
+from bayes_rs.fits.batch import Batch, make_posterior
+from bayes_rs.fits.campaign_records import CampaignRecords
+from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
+from bayes_rs.fits.digest import digest
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.parts import FAILED, Done, Part, Shared, batch_size, fit_part
+from bayes_rs.likelihoods.base import Likelihood
+from bayes_rs.likelihoods.joining import join_likelihoods
+from bayes_rs.noise.noise import Noise
+from bayes_rs.output import write_csv
+from bayes_rs.posteriors.nuisance import RecordNuisances
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.priors.campaign import CampaignPrior
+
+_TEXTS = ("quantity", "bin", "name")
+_NUMBERS = (
+    *("mean", "low", "high", "prob", "decided", "ess", "r_hat"),
+    *("prior_mean", "prior_low", "prior_high"),
+)
+"""Columns of the tables, by what they hold: one that is empty has a type, too."""
+SAMPLER = "direct"
+"""How records are sampled under the learnt prior, which makes their posteriors compact."""
+
+
+@dataclass(frozen=True)
+class CampaignJob:
+    """What the campaign is learnt from.
+
+    Parameters
+    ----------
+    batch : Batch
+        All records of the fit.
+    time : ndarray, shape (n_record,)
+        Their starts.
+    record : ndarray of int
+        Numbers of those that enter.
+    mean : ndarray, shape (n_record, 6)
+        Posterior means of the stresses under the given prior, m² s⁻²; NaN for records that were not fitted.
+    """
+
+    batch: Batch
+    time: NDArray[np.datetime64]
+    record: NDArray[np.int64]
+    mean: FloatArray
+
+
+@dataclass(frozen=True)
+class CampaignDone:
+    """What a campaign found.
+
+    Parameters
+    ----------
+    tables : dict of str to DataFrame
+        `TABLE` and `HYPER`.
+    prior : CampaignPrior
+        The learnt prior.
+    about : dict
+        What `run.json` says of it.
+    """
+
+    tables: dict[str, pd.DataFrame]
+    prior: CampaignPrior
+    about: dict[str, Any]
+
+
+def campaign_off(chosen: CampaignRecords) -> dict[str, Any]:
+    """Return what `run.json` says of a campaign that there is not."""
+    return {"on": False, "why": chosen.why_not}
+
+
+def job_of(parts: Sequence[Part], chosen: CampaignRecords, mean: FloatArray) -> CampaignJob:
+    """Return what the campaign of the records of all parts is learnt from."""
+    batch = join_batches([part.batch for part in parts])
+    return CampaignJob(batch, np.concatenate([part.time for part in parts]), chosen.record, mean)
+
+
+def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
+    """Sample the campaign."""
+    options, batch = shared.options, job.batch.take(job.record)
+    chosen = choose_records(batch.wind_speed, MOST_RECORDS, options.seed)
+    known, posterior = campaign_posterior(batch.take(chosen), shared.noise, options)
+    chosen = chosen[known]
+    found = sample_campaign(
+        posterior,
+        batch.wind_speed[chosen],
+        group=None if batch.group is None else batch.group[chosen].tolist(),
+        seed=options.seed,
+    )
+    table = campaign_table(
+        found,
+        prob=options.prob,
+        wind_speed=batch.wind_speed,
+        stress_mean=job.mean[job.record],
+        chosen=chosen,
+        seed=options.seed,
+    )
+    about = {
+        "on": True,
+        "n_record": len(batch),
+        "n_sampled": len(chosen),
+        "n_sweep": int(found.n_sweep),
+        "acceptance": {name: round(float(share), 4) for name, share in found.acceptance.items()},
+        "ess": round(float(found.ess), 1),
+        "r_hat": round(float(found.r_hat), 4),
+        "converged": bool(found.converged),
+        "prior": found.prior.in_words(),
+        "prior_key": digest(found.prior),
+    }
+    return CampaignDone({TABLE: as_read(table), HYPER: as_read(found.hyper)}, found.prior, about)
+
+
+def campaign_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[NDArray[np.int64], Posterior]:
+    """Return the posterior of all records of a batch whose likelihood can be calculated, and which these are.
+
+    It is made some records at a time: the covariances of many beams take memory, the likelihood that is made of them
+    takes little.
+    """
+    size = batch_size(batch.variance.shape[1])
+    rows = np.arange(len(batch))
+    found: list[tuple[NDArray[np.int64], Likelihood]] = []
+    for first in range(0, len(rows), size):
+        found += _likelihoods(batch, rows[first : first + size], noise, options)
+    if not found:
+        raise InputError("No campaign is possible: the likelihood of no record can be calculated.")
+    known = np.concatenate([some for some, _ in found])
+    some = batch.take(known)
+    nuisances = RecordNuisances(options.nuisances, some.yaw, some.median_noise(options), some.yaw_sd)
+    return known, Posterior(join_likelihoods([likelihood for _, likelihood in found]), some.prior(options), nuisances)
+
+
+def _likelihoods(
+    batch: Batch, rows: NDArray[np.int64], noise: Noise, options: FitOptions
+) -> list[tuple[NDArray[np.int64], Likelihood]]:
+    try:
+        return [(rows, make_posterior(batch.take(rows), noise, options)[0].likelihood)]
+    except FAILED:
+        if len(rows) == 1:
+            return []
+    return [one for half in np.array_split(rows, 2) for one in _likelihoods(batch, half, noise, options)]
+
+
+def under_campaign(shared: Shared, prior: CampaignPrior) -> Shared:
+    """Return what the parts need to be fitted under the learnt prior."""
+    options = replace(
+        shared.options,
+        prior=prior,
+        sampler=SAMPLER,
+        draws="none",
+        campaign="off",
+        campaign_group=None,
+        campaign_unsteady=False,
+    )
+    return replace(shared, options=options, keep_draws=False)
+
+
+def fit_under_campaign(shared: Shared, part: Part) -> Done:
+    """Fit the records of one part under the learnt prior, and lay out their summary."""
+    done = fit_part(shared, part)
+    return Done(done.index, {SUMMARY: done.tables["summary"]})
+
+
+def join_batches(batches: Sequence[Batch]) -> Batch:
+    """Return the records of several batches, one after the other."""
+    joined: dict[str, Any] = {}
+    for entry in fields(Batch):
+        values = [getattr(batch, entry.name) for batch in batches]
+        if values[0] is None:
+            joined[entry.name] = None
+        elif isinstance(values[0], dict):
+            joined[entry.name] = {name: np.concatenate([value[name] for value in values]) for name in values[0]}
+        else:
+            joined[entry.name] = np.concatenate(values)
+    return Batch(**joined)
+
+
+def as_csv(table: pd.DataFrame) -> bytes:
+    """Return a table as it is written."""
+    sink = io.BytesIO()
+    write_csv(table, sink, index=False)  # type: ignore[arg-type] # pandas writes to one as to a file
+    return sink.getvalue()
+
+
+def of_csv(content: bytes) -> pd.DataFrame:
+    """Return a table as it is read: every number as it was written."""
+    kinds = {**dict.fromkeys(_TEXTS, pa.string()), **dict.fromkeys(_NUMBERS, pa.float64()), "n_record": pa.int64()}
+    options = csv.ConvertOptions(column_types=kinds, null_values=[""], strings_can_be_null=False)
+    table: pd.DataFrame = csv.read_csv(pa.BufferReader(content), convert_options=options).to_pandas()
+    return table
+
+
+def as_read(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table as it will be read from its file."""
+    return of_csv(as_csv(table))
