@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -533,15 +534,20 @@ def _record_stresses(
     return found
 
 
+@lru_cache(maxsize=8)
+def _at_lidar(air: Air) -> tuple[FloatArray, FloatArray]:
+    """Return wave numbers and the one-point spectra there, shape (n, 6), m³ s⁻²."""
+    sonic = Beams(np.zeros((3, 3)), np.eye(3), (None, None, None))
+    nodes = air.smallest() * np.geomspace(1e-3, 3e6, 200)
+    spectra = np.array([air.matrix(float(max(k1, air.smallest())), sonic).real for k1 in nodes])
+    return nodes, np.stack([spectra[:, i, j] for i, j in ORDER], axis=-1)
+
+
 def _integrate(
     air: Air, travelled: float, modulation: tuple[float, float] | None = None, speed: float = 1.0
 ) -> FloatArray:
     """Return R, or with `travelled` = U T (m) what is left of it when the mean over that length is taken out."""
-    sonic = Beams(np.zeros((3, 3)), np.eye(3), (None, None, None))
-    low, high = 1e-3 * air.smallest(), 3e6 * air.smallest()
-    nodes = np.geomspace(low, high, 240)
-    spectra = np.array([air.matrix(float(max(k1, air.smallest())), sonic).real for k1 in nodes])
-    spectra = np.stack([spectra[:, i, j] for i, j in ORDER], axis=-1)
+    nodes, spectra = _at_lidar(air)
     step = np.log(nodes[1] / nodes[0])
 
     def total(of: FloatArray) -> FloatArray:
@@ -553,9 +559,9 @@ def _integrate(
         whole += 2.0 * np.array([1.5, 1.5, 1.5, 0.0, 0.0, 0.0]) * spectra[-1] * nodes[-1]  # k^(-5/3) beyond the last
     if not np.isfinite(travelled):
         return whole
-    lag = (np.arange(4000) + 0.5) * travelled / 4000  # the variance of a mean is 2/T ∫(1 − τ/T) C(τ) dτ
+    lag = (np.arange(1500) + 0.5) * travelled / 1500  # the variance of a mean is 2/T ∫(1 − τ/T) C(τ) dτ
     covariance = np.empty((len(lag), 6))
-    fine = np.geomspace(low, 40.0 / (lag[1] - lag[0]), 6000)
+    fine = np.geomspace(nodes[0], 20.0 / (lag[1] - lag[0]), 3000)
     values = np.stack([np.interp(np.log(fine), np.log(nodes), spectra[:, c]) for c in range(6)], axis=-1)
     weight = np.gradient(fine)
     for first in range(0, len(lag), 500):
