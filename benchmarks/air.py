@@ -190,6 +190,7 @@ def make_series(
     wind_speed: ArrayLike,
     seed: int,
     duration: float = 600.0,
+    size: ArrayLike = 1.0,
     spread: float = 0.0,
     modulation: tuple[float, float] | None = None,
     front: float = 0.0,
@@ -217,8 +218,10 @@ def make_series(
         Seed.
     duration : float
         Length of a record, s.
+    size : array_like, shape () or (n_record,)
+        Factor of R in each record, such as (U/10)² for one turbulence intensity.
     spread : float
-        Standard deviation of ln R from record to record; the mean over records is that of the air.
+        Standard deviation of ln R from record to record; their mean is that of the air.
     modulation : (float, float), optional
         Depth s and time scale (s) of exp(s g − s²), which all beams share, with g an Ornstein–Uhlenbeck process: R
         stays, the kurtosis is 3 exp(4 s²).
@@ -266,6 +269,7 @@ def make_series(
             part = chosen[first : first + 16]
             velocity[part] = _draw(factor, len(part), n_long, rng)[:, :, :n_sample]
     strength = np.exp(spread * rng.standard_normal(n_record) - 0.5 * spread**2)
+    strength = strength * np.broadcast_to(np.asarray(size, dtype=np.float64), (n_record,))
     velocity *= np.sqrt(strength)[:, None, None]
     when = time[:, None] + step * np.arange(n_sample)
     if modulation is not None:

@@ -45,7 +45,7 @@ HEAD = (
     "uw",
     "records hold uu, vv, ww, uw, %",
     "under the campaign, %",
-    "width of uu, ww over uu",
+    "widths of uu, ww over the ideal's",
     "said of records",
 )
 AIMS = (
@@ -116,7 +116,8 @@ def run_case(name: str, *, n_record: int, seed: int) -> pd.DataFrame:
     case, scan = AIRS[air], SCANS[scan_name]
     folder = Path(tempfile.mkdtemp(prefix="real-air-"))
     try:
-        options = {"wind_speed": _wind(case.wind, n_record), "seed": seed, **case.options}
+        wind = _wind(case.wind, n_record)
+        options = {"wind_speed": wind, "size": (wind / 10.0) ** 2, "seed": seed, **case.options}
         files, truth = make_files(folder / "files", brs.load_scan(scan), case.air, n_record=n_record, **options)
         began = time.process_time()
         settings = brs.Settings().changed(scan=scan, files=[str(file) for file in files], output=str(folder / "out"))
@@ -129,9 +130,9 @@ def run_case(name: str, *, n_record: int, seed: int) -> pd.DataFrame:
         shutil.rmtree(folder)
 
 
-def _wind(kind: str, n_record: int) -> Any:
+def _wind(kind: str, n_record: int) -> np.ndarray:
     if kind == "steady":
-        return 10.0
+        return np.full(n_record, 10.0)
     return 10.0 + 0.5 * np.round(8.0 * np.sin(2.0 * np.pi * np.arange(n_record) / 144.0))
 
 
@@ -218,12 +219,25 @@ def page_tables(table: pd.DataFrame) -> str:
             for edition in ("before", "after"):
                 of = some[some["edition"] == edition]
                 if len(of):
-                    lines.append(_line(case.title, edition, of))
+                    lines.append(_line(case.title, edition, of, _ideal(table, scan)))
         parts.append("\n".join(lines))
     return "\n\n".join([aims_table(table), *parts])
 
 
-def _line(title: str, edition: str, of: pd.DataFrame) -> str:
+def _ideal(table: pd.DataFrame, scan: str) -> pd.DataFrame:
+    """Return the rows of the ideal case before: Gaussian, neutral, with the length scale that was the default."""
+    return table[(table["scan"] == scan) & (table["air"] == "neutral") & (table["edition"] == "before")]
+
+
+def _widths(by: dict[str, pd.DataFrame], ideal: pd.DataFrame, column: str) -> str:
+    """Return the widths of uu and ww, each over the truth of uu, relative to those of the ideal case."""
+    if not len(ideal) or column not in by["uu"] or by["uu"][column].isna().all():
+        return ""
+    of = {stress: float(ideal[ideal["stress"] == stress]["width"].mean()) for stress in ("uu", "ww")}
+    return ", ".join(f"{by[stress][column].mean() / of[stress]:.2f}" for stress in of)
+
+
+def _line(title: str, edition: str, of: pd.DataFrame, ideal: pd.DataFrame) -> str:
     by = {stress: of[of["stress"] == stress] for stress in STRESSES}
     size = float(by["uu"]["truth"].mean())
     cells = [title, edition]
@@ -243,7 +257,8 @@ def _line(title: str, edition: str, of: pd.DataFrame) -> str:
         cells.append(f"{float((some['campaign'] / some['truth']).mean()):.2f} ({ends[0]:.2f}–{ends[1]:.2f}){mark}")
     cells.append(_percents(by, "hold"))
     cells.append(_percents(by, "hold_campaign"))
-    cells.append(", ".join(f"{by[stress]['width'].mean():.2f}" for stress in ("uu", "ww")))
+    own, campaign = _widths(by, ideal, "width"), _widths(by, ideal, "width_campaign")
+    cells.append(f"{own}; campaign {campaign}" if campaign else own or "–")
     cells.append(str(by["uu"]["said"].fillna("nothing").iloc[0]))
     return f"| {' | '.join(cells)} |"
 
