@@ -46,12 +46,13 @@ HEAD = (
     "records hold uu, vv, ww, uw, %",
     "under the campaign, %",
     "widths of uu, ww over the ideal's",
+    "decided by the data of the campaign, %",
     "said of records",
 )
 AIMS = (
     "edition",
     "cases",
-    "mean of uu within 3 %, of vv, ww, uw within 8 %, where seen",
+    "mean of uu within 3 %, of vv, ww, uw within 8 %, in Gaussian air and where seen",
     "interval of the mean holds",
     "90 % intervals of records hold 82 % or more",
 )
@@ -76,6 +77,11 @@ class Case:
     options: dict[str, Any] = field(default_factory=dict)
     scans: tuple[str, ...] = tuple(SCANS)
     wind: str = "steady"
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether something is in it that is no turbulence: the aims do not count there, what is said does."""
+        return not self.options.keys() <= {"modulation", "spread"}
 
 
 _NEUTRAL = MannAir(0.05, 61.0, 3.2)
@@ -259,6 +265,7 @@ def _line(title: str, edition: str, of: pd.DataFrame, ideal: pd.DataFrame) -> st
     cells.append(_percents(by, "hold_campaign"))
     own, campaign = _widths(by, ideal, "width"), _widths(by, ideal, "width_campaign")
     cells.append(f"{own}; campaign {campaign}" if campaign else own or "–")
+    cells.append(_percents(by, "campaign_decided"))
     cells.append(str(by["uu"]["said"].fillna("nothing").iloc[0]))
     return f"| {' | '.join(cells)} |"
 
@@ -270,20 +277,26 @@ def _percents(by: dict[str, pd.DataFrame], column: str) -> str:
 
 
 def aims_table(table: pd.DataFrame) -> str:
-    """Return how many of the cases meet the aims, for each edition."""
+    """Return how many of the cases without a fault meet the aims, for each edition; means in Gaussian air only."""
+    turbulent = {air for air, case in AIRS.items() if not case.is_fault}
+    gaussian = {air for air in turbulent if "modulation" not in AIRS[air].options}
     lines = [
         f"| {' | '.join(AIMS)} |",
         "|---" * len(AIMS) + "|",
     ]
     for edition in ("before", "after"):
-        of = table[(table["edition"] == edition) & table["stress"].isin(SHOWN)]
+        of = table[(table["edition"] == edition) & table["stress"].isin(SHOWN) & table["air"].isin(turbulent)]
         if not len(of):
             continue
         size = of.merge(
             of[of["stress"] == "uu"][["air", "scan", "seed", "truth"]], on=["air", "scan", "seed"], suffixes=("", "_uu")
         )
         seen = np.array([s in SEES.get(scan, ()) for scan, s in zip(size["scan"], size["stress"], strict=True)])
-        told = seen & (size["truth"].abs() > LEAST_SEEN_UW * size["truth_uu"]).to_numpy()
+        told = (
+            seen
+            & size["air"].isin(gaussian).to_numpy()
+            & (size["truth"].abs() > LEAST_SEEN_UW * size["truth_uu"]).to_numpy()
+        )
         off = (size["campaign"] / size["truth"] - 1.0).abs()
         near = off <= np.where(size["stress"] == "uu", 0.03, 0.08)
         best = size["hold_campaign"].fillna(size["hold"]) if "hold_campaign" in size else size["hold"]

@@ -93,7 +93,7 @@ class TestSampledBeams:
         beams, times, found = expected_covariance(scan, one, wind_speed)
         flow = brs.MannTurbulence(one.dissipation, one.length_scale, one.gamma)
         lags = np.array([-20, -4, -1, 0, 1, 2, 3, 20])
-        for first, second in [(0, 0), (0, 1), (1, 0), (0, 2), (3, 1)]:
+        for first, second in [(0, 0), (0, 1), (1, 0), (0, 2), (3, 1), (0, scan.n_beam - 1)]:  # the last looks along x
             apart = beams.position[second] - beams.position[first]
             along = apart[0] - wind_speed * (times[second] - times[first] - lags * scan.scan_duration)
             right = probed_covariance(
