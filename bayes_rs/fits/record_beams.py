@@ -150,7 +150,7 @@ class _Data:
 
     def _variances(self, rows: slice) -> Block:
         batch, nuisances = self.batch.take(rows), self.options.nuisances
-        noise = noise_at_median(self.noise, batch, nuisances)
+        noise = noise_at_median(batch, self.noise, nuisances)
         gain = batch.turned(noise.gain)
         if self.options.target == "ensemble":
             gain = gain * (1.0 + noise.bias)[:, :, None]
