@@ -138,7 +138,7 @@ def scatter() -> None:
                     records, scan, noise=noise, seed=1, target="ensemble", target_ess=400, draws="none", scatter=way
                 )
                 uu = found.summary().query("stress == 'uu'")
-                low, high = uu["hdi_low"].to_numpy(), uu["hdi_high"].to_numpy()
+                low, high = uu["low"].to_numpy(), uu["high"].to_numpy()
                 told.append((100.0 * np.mean((low <= truth) & (truth <= high)), np.median(high - low) / truth))
                 if way == "records":
                     middle = float(np.median(found.records["variance_scatter"].values))

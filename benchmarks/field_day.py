@@ -64,7 +64,7 @@ def intensity(
 def scores(merged: pd.DataFrame, column: str) -> dict[str, float]:
     """Return bias, RMSE and coverage of σ_u/U against one reference."""
     relative = merged["mean"] / merged[column] - 1.0
-    inside = (merged["hdi_low"] <= merged[column]) & (merged[column] <= merged["hdi_high"])
+    inside = (merged["low"] <= merged[column]) & (merged[column] <= merged["high"])
     return {
         "bias": (merged["mean"] - merged[column]).mean(),
         "RMSE": np.sqrt(((merged["mean"] - merged[column]) ** 2).mean()),
@@ -169,7 +169,7 @@ def draw(merged: dict[str, pd.DataFrame]) -> Figure:
     probed, points = merged["30 m"], merged["none"]
     figure = Figure(figsize=(13.0, 5.0), layout="constrained")
     over, against = figure.subplots(1, 2, width_ratios=[2.2, 1.0])
-    over.fill_between(probed["time"], probed["hdi_low"], probed["hdi_high"], alpha=0.25, label="lidar, 90 % interval")
+    over.fill_between(probed["time"], probed["low"], probed["high"], alpha=0.25, label="lidar, 90 % interval")
     over.plot(probed["time"], probed["mean"], linewidth=1.3, label="lidar, posterior mean")
     over.plot(points["time"], points["mean"], color="0.35", linewidth=0.8, linestyle="--", label="the same, no probe")
     over.plot(probed["time"], probed["TI_South"], ".", color="#c26a16", markersize=4, label="south mast")
@@ -181,7 +181,7 @@ def draw(merged: dict[str, pd.DataFrame]) -> Figure:
     over.set_xlabel("start of the record (UTC), 2020-09-03 and 04")
     over.legend(loc="upper right", fontsize=9, ncols=2)
     over.tick_params(axis="x", rotation=20)
-    error = [probed["mean"] - probed["hdi_low"], probed["hdi_high"] - probed["mean"]]
+    error = [probed["mean"] - probed["low"], probed["high"] - probed["mean"]]
     against.errorbar(
         probed["both"],
         probed["mean"],

@@ -40,7 +40,7 @@ COLUMNS = {
     "exact_bias": "noise-free generalized least squares with homogeneous stresses, less the truth, over uu",
     "bias": "mean of the posterior means less the truth, over uu",
     "sd": "mean of the posterior standard deviations, over uu",
-    "coverage": "share of records whose 90 % interval (highest density) holds the truth",
+    "coverage": "share of records whose 90 % interval holds the truth",
     "log_bayes_factor": "mean per record, gradients over homogeneous",
 }
 
@@ -114,7 +114,7 @@ def study(n_record: int) -> pd.DataFrame:
                 summary = result.summary()
                 for index, stress in enumerate(brs.STRESSES):
                     part = summary[summary["stress"] == stress]
-                    held = (part["hdi_low"] <= truth[index]) & (truth[index] <= part["hdi_high"])
+                    held = (part["low"] <= truth[index]) & (truth[index] <= part["high"])
                     rows.append(
                         {
                             "scan": label,

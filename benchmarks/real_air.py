@@ -145,7 +145,7 @@ def _wind(kind: str, n_record: int) -> np.ndarray:
 def compare(fit: brs.Fit, folder: Path, truth: dict[str, Any]) -> pd.DataFrame:
     """Hold a fit's tables against the truth: a row for each stress; everything relative to it where it is not none."""
     table = pd.read_csv(folder / "summary.csv")
-    low, high = ("low", "high") if "low" in table else ("hdi_low", "hdi_high")
+    low, high = "low", "high"
     campaign = _campaign(folder)
     plain = brs.estimate(fit.records, fit.scan)["stress"].values
     said = _said(fit)

@@ -109,7 +109,7 @@ def posterior(label: str, scan: brs.Scan, variance: np.ndarray, sonic: np.ndarra
     for index, name in enumerate(brs.STRESSES):
         of = table[table["stress"] == name]
         row = row_of(label, "posterior", 600.0, name, of["mean"].to_numpy(), sonic[:, index])
-        low, high = of["hdi_low"].to_numpy(), of["hdi_high"].to_numpy()
+        low, high = of["low"].to_numpy(), of["high"].to_numpy()
         row["width_90"] = (high - low).mean()
         row["holds_mean_of_sonic"] = ((low <= sonic[:, index].mean()) & (sonic[:, index].mean() <= high)).mean()
         row["holds_theory"] = ((low <= truth[index]) & (truth[index] <= high)).mean()

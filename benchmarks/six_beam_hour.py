@@ -71,7 +71,7 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
     for height, part in rows.groupby("height"):
         short, hour = (part[part["duration"] == duration] for duration in DURATIONS)
         one = short[short["stress"] == "uu"]
-        outside = ~short["plain"].between(short["hdi_low"], short["hdi_high"])
+        outside = ~short["plain"].between(short["low"], short["high"])
         lines.append(
             {
                 "height": height,
@@ -96,11 +96,11 @@ def hour_and_records(table: pd.DataFrame) -> pd.DataFrame:
                 "height": height,
                 "stress": stress,
                 "mean of six records": short["mean"].mean(),
-                "mean width of their 90 % intervals": (short["hdi_high"] - short["hdi_low"]).mean(),
+                "mean width of their 90 % intervals": (short["high"] - short["low"]).mean(),
                 "hour": hour["mean"].iloc[0],
-                "low": hour["hdi_low"].iloc[0],
-                "high": hour["hdi_high"].iloc[0],
-                "width": (hour["hdi_high"] - hour["hdi_low"]).iloc[0],
+                "low": hour["low"].iloc[0],
+                "high": hour["high"].iloc[0],
+                "width": (hour["high"] - hour["low"]).iloc[0],
             }
         )
     return pd.DataFrame(lines)
@@ -136,10 +136,8 @@ def draw(table: pd.DataFrame) -> Figure:
             part = rows[(rows["height"] == height) & (rows["stress"] == stress)]
             short, hour = (part[part["duration"] == duration] for duration in DURATIONS)
             centre = 5.0 + 10.0 * short["record"]
-            error = [short["mean"] - short["hdi_low"], short["hdi_high"] - short["mean"]]
-            axis.axhspan(
-                hour["hdi_low"].iloc[0], hour["hdi_high"].iloc[0], color="#bfd3e6", label="hour, 90 % interval"
-            )
+            error = [short["mean"] - short["low"], short["high"] - short["mean"]]
+            axis.axhspan(hour["low"].iloc[0], hour["high"].iloc[0], color="#bfd3e6", label="hour, 90 % interval")
             axis.axhline(hour["mean"].iloc[0], color="#4c78a8", linewidth=1.0)
             axis.errorbar(centre, short["mean"], yerr=error, fmt="o", markersize=4, color="#1b4f8a", label="10 minutes")
             fine = short["plain_realizable"].astype(bool)

@@ -381,7 +381,7 @@ class TestTheRoad:
         records, scan, options, one, place = made
         table = pd.read_csv(once[4] / "summary.csv")
         under = one.summary(campaign=True)
-        for ours, theirs in (("campaign_mean", "mean"), ("campaign_low", "hdi_low"), ("campaign_high", "hdi_high")):
+        for ours, theirs in (("campaign_mean", "mean"), ("campaign_low", "low"), ("campaign_high", "high")):
             np.testing.assert_allclose(table[ours], under[theirs], rtol=1e-14)  # pandas reads to the last bit but one
         np.testing.assert_allclose(table["mean"], one.summary()["mean"], rtol=1e-14)
         off = brs.fit(records, scan, output=place / "off", **{**options, "campaign": "off"})

@@ -224,7 +224,7 @@ class TestFit:
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
-        widths = (table["hdi_high"] - table["hdi_low"]).groupby(table["stress"]).median()[list(STRESSES)]
+        widths = (table["high"] - table["low"]).groupby(table["stress"]).median()[list(STRESSES)]
         for line, wanted in ((before, WeakPrior().interval_widths(0.9)), (after, widths)):
             listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
             np.testing.assert_allclose([float(listed[name]) for name in STRESSES], wanted, rtol=0.0051)  # three digits
@@ -266,7 +266,7 @@ class TestFit:
         rows = summary_of(finished[0]).set_index(["stress", "record"])
         # uu from six beams with 24 % noise each, correlated: four standard deviations of 0.24 hold it
         assert rows.loc["uu"]["mean"].to_numpy() == pytest.approx(STRESS[0], abs=4.0 * 0.24)
-        assert (rows.loc["uu"]["hdi_low"].astype(float) > 0.0).all()
+        assert (rows.loc["uu"]["low"].astype(float) > 0.0).all()
 
     def test_the_same_seed_and_the_records_in_between_give_the_same_numbers(
         self, fit, bayes_rs, finished, inputs, tmp_path

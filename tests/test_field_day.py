@@ -53,7 +53,7 @@ def rows_of_table(head):
 def test_every_record_of_the_day_has_a_posterior(comparison):
     for merged in comparison[0].values():
         assert len(merged) == 144
-        assert merged[["mean", "hdi_low", "hdi_high"]].notna().all(axis=None)
+        assert merged[["mean", "low", "high"]].notna().all(axis=None)
         assert (merged["flag"] == "").sum() == 136
 
 

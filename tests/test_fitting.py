@@ -54,7 +54,7 @@ class TestCalibration:
         smaller = plain_noise(scan, relative_variance=0.015)
         table = fit(records, scan, noise=smaller, seed=1, target_ess=200).summary()
         rows = table[table["stress"] == "uu"]
-        inside = np.count_nonzero((rows["hdi_low"] < stress[:, 0]) & (stress[:, 0] < rows["hdi_high"]))
+        inside = np.count_nonzero((rows["low"] < stress[:, 0]) & (stress[:, 0] < rows["high"]))
         assert inside < stats.binom.ppf(1e-6, 200, 0.9)
 
 

@@ -358,9 +358,7 @@ class TestFit:
         fixed = brs.fit(records, SIX, turbulence="fu-2022", say=said.append, **self.SMALL)
         assert own.run["length_scale"]["length_scale"] == pytest.approx(200.0, rel=0.3)
         assert any("length scale from the spectra of 20 of 20 records" in line for line in said)
-        width = {
-            fit is own: (fit.summary()["hdi_high"] - fit.summary()["hdi_low"])[::6].median() for fit in (own, fixed)
-        }
+        width = {fit is own: (fit.summary()["high"] - fit.summary()["low"])[::6].median() for fit in (own, fixed)}
         assert width[True] > 1.3 * width[False]
         assert any("noise was made for L = 61 m, the records' spectra say" in line for line in said)
         assert not np.any(own.flag & 32768)

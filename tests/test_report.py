@@ -130,7 +130,7 @@ class TestNumbers:
             rows = expected[expected["stress"].isin(STRESSES)][name].to_numpy().reshape(-1, 6)
             np.testing.assert_array_equal(found.numbers[name], rows)
         ti = expected[expected["stress"] == "ti"]
-        np.testing.assert_array_equal(found.derived["ti"]["low"], ti["hdi_low"])
+        np.testing.assert_array_equal(found.derived["ti"]["low"], ti["low"])
         assert found.fitted.tolist() == [True, True, False, True, True, True]
         assert found.flag.tolist() == [0, 0, FLAGS["no_usable_beam"], 0, FLAGS["beam_left_out"], 0]
 
@@ -144,7 +144,7 @@ class TestNumbers:
     def test_another_probability_is_computed_from_the_draws(self, full):
         half = report_of(full, prob=0.5)
         expected = open_fit(full).summary(prob=0.5)
-        np.testing.assert_array_equal(half.numbers["hdi_low"].ravel(), expected["hdi_low"])
+        np.testing.assert_array_equal(half.numbers["low"].ravel(), expected["low"])
         assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
 
     def test_tables_give_the_numbers_of_their_summary(self, tables):
@@ -166,7 +166,7 @@ class TestNumbers:
     def test_the_page_holds_the_numbers_of_each_record(self, full, full_page):
         found, data = report_of(full), data_of(full_page)
         numbers = unpack(data["records"]["numbers"], (6, 5, 6))
-        columns = ("median", "hdi_low", "hdi_high", "mean", "sd")
+        columns = ("median", "low", "high", "mean", "sd")
         largest = np.max([np.abs(found.numbers[name]).max(axis=1) for name in columns], axis=0)
         for place, name in enumerate(columns):
             error = np.abs(numbers[:, place] - found.numbers[name])
@@ -197,7 +197,7 @@ class TestNumbers:
         fit(records, SCAN, output=tmp_path / "out", draws="none", **OPTIONS)
         found = report_of(tmp_path / "out")
         np.testing.assert_allclose(
-            found.derived["ti"]["high"][0], np.sqrt(found.numbers["hdi_high"][0, 0]) / 10.0, rtol=1e-12
+            found.derived["ti"]["high"][0], np.sqrt(found.numbers["high"][0, 0]) / 10.0, rtol=1e-12
         )
         assert np.isnan(found.derived["ti"]["median"][[2, 3]]).all()
         data = figures.intensity_data(found)
@@ -220,7 +220,7 @@ class TestSeries:
         assert not series.binned
         assert series.timed
         assert series.width == 600_000.0
-        np.testing.assert_array_equal(series.low, found.numbers["hdi_low"])
+        np.testing.assert_array_equal(series.low, found.numbers["low"])
         assert series.n_failed.tolist() == [0, 0, 1, 0, 0, 0]
         assert series.n_remarked.tolist() == [0, 0, 0, 0, 1, 0]
 
@@ -237,7 +237,7 @@ class TestSeries:
         series = make_series(found)
         rows = np.arange(36 * 100, 36 * 101)
         rows = rows[found.fitted[rows]]
-        for ours, theirs in (("median", "median"), ("low", "hdi_low"), ("high", "hdi_high")):
+        for ours, theirs in (("median", "median"), ("low", "low"), ("high", "high")):
             expected = np.median(found.numbers[theirs][rows], axis=0)
             np.testing.assert_allclose(getattr(series, ours)[100], expected, rtol=1e-12)
         for ours, share in (("spread_low", 0.05), ("spread_high", 0.95)):
@@ -338,7 +338,7 @@ class TestSections:
 
     def test_tables_hold_the_medians_and_intervals(self, full, full_page):
         found = report_of(full)
-        expected = interval(*(float(found.numbers[name][0, 0]) for name in ("median", "hdi_low", "hdi_high")))
+        expected = interval(*(float(found.numbers[name][0, 0]) for name in ("median", "low", "high")))
         assert f'<td class="n">{expected}</td>' in full_page
 
     def test_one_record_all_flagged_and_unfitted(self, tmp_path):

@@ -58,9 +58,9 @@ def test_the_plain_inversions_are_realizable_or_not_as_the_page_says(benchmark, 
 
 def test_every_record_has_a_realizable_posterior_and_no_flag(table):
     assert len(table) == (6 + 1) * (6 + 1 + 6)  # records and the hour; stresses, energy, stresses in the lidar's frame
-    assert table[["mean", "hdi_low", "hdi_high"]].notna().all(axis=None)
+    assert table[["mean", "low", "high"]].notna().all(axis=None)
     assert (table["flag"] == "").all()
-    assert (table.loc[table["stress"].isin(list(NAMES)), "hdi_low"] > 0.0).all()
+    assert (table.loc[table["stress"].isin(list(NAMES)), "low"] > 0.0).all()
 
 
 def test_the_table_in_the_docs_is_the_one_that_comes_out(benchmark, table, rows):

@@ -218,7 +218,7 @@ class TestFit:
         def widths(records, **options):
             found = brs.fit(records, scan, noise=noise, seed=1, draws="none", **options).summary()
             uu = found[found["stress"] == "uu"]
-            return (uu["hdi_high"] - uu["hdi_low"]).to_numpy()
+            return (uu["high"] - uu["low"]).to_numpy()
 
         with_it, without = widths(wide), widths(wide, scatter="theory")
         assert with_it[0] > 1.5 * without[0]

@@ -53,7 +53,7 @@ def test_draws_and_summary_agree(result):
 def test_at_no_yaw_both_frames_are_one(result):
     _, tree = result
     in_wind, in_lidar = (tree.summary(frame=frame) for frame in ("wind", "lidar"))
-    columns = ["mean", "sd", "hdi_low", "hdi_high", "decided", "r_hat"]
+    columns = ["mean", "sd", "low", "high", "decided", "r_hat"]
     one, other = (table[table["record"] == 1][columns].to_numpy() for table in (in_wind, in_lidar))
     np.testing.assert_allclose(one, other, rtol=1e-9)
     ess = [table[table["record"] == 1]["ess_bulk"].to_numpy() for table in (in_wind, in_lidar)]

@@ -99,7 +99,7 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
     rows = {}
     for name, found in fits.items():
         table = found.summary()
-        width = (table["hdi_high"] - table["hdi_low"]).groupby(table["stress"]).mean()
+        width = (table["high"] - table["low"]).groupby(table["stress"]).mean()
         rows[TITLES[name]] = width[list(STRESSES)]
     first = next(iter(fits.values()))
     rows["the prior alone, at this size"] = pd.Series(_prior_width(first), index=list(STRESSES))
@@ -108,11 +108,11 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
 
 def _prior_width(found: Fit) -> FloatArray:
     from bayes_rs.plot.corner_plot import prior_at_size
-    from bayes_rs.posteriors.diagnostics import highest_density_interval
+    from bayes_rs.posteriors.diagnostics import central_interval
 
     widths = []
     for record in range(found.n_record):
-        low, high = highest_density_interval(prior_at_size(found, record).T, 0.9)
+        low, high = central_interval(prior_at_size(found, record).T, 0.9)
         widths.append(high - low)
     return np.asarray(np.mean(widths, axis=0))
 

@@ -24,7 +24,7 @@ from bayes_rs.fits.words import describe, failure_lines, flag_lines, least_seen
 if TYPE_CHECKING:
     from bayes_rs.priors.campaign import CampaignPrior
 
-_BESIDE = {"campaign_mean": "mean", "campaign_low": "hdi_low", "campaign_high": "hdi_high"}
+_BESIDE = {"campaign_mean": "mean", "campaign_low": "low", "campaign_high": "high"}
 """Columns of the exported summary, and those of the summary under the campaign that they are."""
 
 
@@ -72,7 +72,7 @@ class Fit(FitData):
         Parameters
         ----------
         prob : float, optional
-            Probability of the highest-density intervals; by default that of the fit. Another one needs the draws.
+            Probability of the intervals (equal tails); by default that of the fit. Another one needs the draws.
         derived : sequence of str, optional
             Quantities beside the six stresses; by default those of the fit. Others need the draws. They are turbulence
             intensities ``"ti"`` (σ_u/U), ``"ti_v"``, ``"ti_w"``; ``"tke"``; ``"friction_velocity"``;
@@ -89,7 +89,7 @@ class Fit(FitData):
         -------
         table : DataFrame
             One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
-            sd, median and ends of the highest-density interval, m² s⁻² for stresses; ``decided``; least squares on the
+            sd, median and ends of the interval with equal tails, m² s⁻² for stresses; ``decided``; least squares on the
             same variances and its standard error, NaN for stresses that the beams do not determine; Monte-Carlo
             standard errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat, and flags in
             words. Records that were not fitted have NaN.

@@ -23,8 +23,8 @@ COLUMNS: tuple[str, ...] = (
     "mean",
     "sd",
     "median",
-    "hdi_low",
-    "hdi_high",
+    "low",
+    "high",
     "prob",
     "decided",
     "least_squares",
@@ -62,7 +62,7 @@ def summarize_draws(
     wind_speed : ndarray, shape (n_record,)
         Mean wind speeds, m/s.
     prob : float
-        Probability of the highest-density intervals.
+        Probability of the intervals.
     known : dict of str to ndarray, shape (n_record, 6), optional
         Of the stresses: diagnostics, by the names in `DIAGNOSTICS`, where they are known already, and what there is of
         `OF_RECORD`.
@@ -90,22 +90,22 @@ def summarize_draws(
     variance = square.mean(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal have no kurtosis
         kurtosis = np.einsum("rqd,rqd->rq", square, square) / (ordered.shape[-1] * variance**2)
-    low, high, share = diagnostics.interval_of_ordered(ordered, prob)
+    low, high = diagnostics.interval_of_ordered(ordered, prob)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
     sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
-    half = np.full(mean.shape, 0.5)
+    half, below = np.full(mean.shape, 0.5), np.full(mean.shape, 0.5 * (1.0 - prob))
     return {
         "mean": mean,
         "sd": sd,
         "median": np.median(ordered, axis=-1),
-        "hdi_low": low,
-        "hdi_high": high,
+        "low": low,
+        "high": high,
         **_of_record(known or {}, names, n_record),
         "mcse_mean": sd / np.sqrt(bulk),
         "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
         "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
-        "mcse_low": diagnostics.quantile_error(ordered, share, tail),
-        "mcse_high": diagnostics.quantile_error(ordered, share + prob, tail),
+        "mcse_low": diagnostics.quantile_error(ordered, below, tail),
+        "mcse_high": diagnostics.quantile_error(ordered, 1.0 - below, tail),
         **diagnosed,
     }
 

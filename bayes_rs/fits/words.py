@@ -104,7 +104,7 @@ def describe(
         return lines
     prob = float(rows["prob"].iloc[0])
     middle = rows.groupby("stress")[["median", "decided", "least_squares"]].median().loc[list(STRESSES)]
-    posterior = (rows["hdi_high"] - rows["hdi_low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
+    posterior = (rows["high"] - rows["low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
     for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
         lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")

@@ -34,7 +34,7 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
     -------
     figure : Figure
         Six panels: median, central 50 % band and central `prob` band; of a fit that kept no draws, median and
-        highest-density interval of its summary. Records that were not fitted or are flagged are marked below.
+        interval of its summary. Records that were not fitted or are flagged are marked below.
 
     Raises
     ------
@@ -98,8 +98,8 @@ def _bands(fit: Fit, prob: float) -> tuple[FloatArray, list[str]]:
         )
     table = fit.table("summary")
     of_stresses = table[table["stress"].isin(STRESSES)]
-    columns = [of_stresses[name].to_numpy(dtype=np.float64) for name in ("hdi_low", "median", "hdi_high")]
-    return np.stack(columns).reshape(3, fit.n_record, len(STRESSES)), [f"highest density, {100 * prob:g} %"]
+    columns = [of_stresses[name].to_numpy(dtype=np.float64) for name in ("low", "median", "high")]
+    return np.stack(columns).reshape(3, fit.n_record, len(STRESSES)), [f"{100 * prob:g} % interval, equal tails"]
 
 
 def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray) -> None:

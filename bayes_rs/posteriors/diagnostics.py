@@ -58,13 +58,15 @@ def diagnose(draws: FloatArray, n_ensemble: int, prob: float = 0.9) -> Diagnosis
     order = np.argsort(flat, axis=-1)
     ordered = np.take_along_axis(flat, order, axis=-1)
     score = _placed(_normal_scores(ordered), order).reshape(halves.shape)
-    distance = np.abs(ordered - _quantile(ordered, 0.5)[..., None])
+    distance = np.abs(ordered - quantile_of_ordered(ordered, 0.5)[..., None])
     outward = np.argsort(distance, axis=-1, kind="stable")  # falls, then rises: a sort that merges runs is quick
     folded = _placed(_normal_scores(np.take_along_axis(distance, outward, axis=-1)), outward)
     folded = _placed(folded, order)
     pooled = (*halves.shape[:-2], 2 * n_ensemble, -1)
     hat = np.maximum(_plain_r_hat(score.reshape(pooled)), _plain_r_hat(folded.reshape(pooled)))
-    low, high = (_quantile(ordered, level)[..., None, None] for level in ((1.0 - prob) / 2.0, (1.0 + prob) / 2.0))
+    low, high = (
+        quantile_of_ordered(ordered, level)[..., None, None] for level in ((1.0 - prob) / 2.0, (1.0 + prob) / 2.0)
+    )
     tail = np.minimum(_ess((halves <= low).astype(np.float64)), _ess((halves <= high).astype(np.float64)))
     return Diagnosis(_ess(score), tail, hat)
 
@@ -184,49 +186,36 @@ def _windowed_time(covariance: FloatArray, window: float) -> tuple[FloatArray, N
     return np.take_along_axis(times, cut[..., None], axis=-1)[..., 0], np.asarray(closed)
 
 
-def highest_density_interval(draws: FloatArray, prob: float) -> tuple[FloatArray, FloatArray]:
-    """Return the shortest interval that holds a share of the draws.
+def central_interval(draws: FloatArray, prob: float) -> tuple[FloatArray, FloatArray]:
+    """Return the interval with equal tails: as many draws lie below it as above.
 
     Parameters
     ----------
     draws : ndarray, shape (..., n_draw)
         Draws.
     prob : float
-        Share of the draws, between 0 and 1.
+        Share of the draws within, between 0 and 1.
 
     Returns
     -------
     low, high : ndarray, shape (...)
         Ends of the interval.
+
+    Notes
+    -----
+    Its ends are quantiles, so those of a function that only grows, as √uu/U of uu, are the function's values at the
+    ends. The shortest interval is not: of a variance that is hardly known it leaves out large values that the interval
+    of its logarithm holds.
     """
     if not 0.0 < prob < 1.0:
         raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    low, high, _ = interval_of_ordered(np.sort(draws, axis=-1), prob)
-    return low, high
+    return interval_of_ordered(np.sort(draws, axis=-1), prob)
 
 
-def interval_of_ordered(ordered: FloatArray, prob: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the shortest interval that holds a share of draws in order, and the share of draws below it.
-
-    Parameters
-    ----------
-    ordered : ndarray, shape (..., n_draw)
-        Draws, smallest first.
-    prob : float
-        Share of the draws.
-
-    Returns
-    -------
-    low, high, below : ndarray, shape (...)
-        Ends of the interval, and the share of draws below it.
-    """
-    n_draw = ordered.shape[-1]
-    span = int(np.floor(prob * n_draw))
-    width = ordered[..., span:] - ordered[..., : n_draw - span]
-    start = np.argmin(width, axis=-1)[..., None]
-    low = np.take_along_axis(ordered, start, axis=-1)[..., 0]
-    high = np.take_along_axis(ordered, start + span, axis=-1)[..., 0]
-    return low, high, start[..., 0] / n_draw
+def interval_of_ordered(ordered: FloatArray, prob: float) -> tuple[FloatArray, FloatArray]:
+    """Return the interval with equal tails of draws in order, smallest first; shapes as in `central_interval`."""
+    tail = 0.5 * (1.0 - prob)
+    return quantile_of_ordered(ordered, tail), quantile_of_ordered(ordered, 1.0 - tail)
 
 
 def quantile_error(ordered: FloatArray, level: FloatArray, ess: FloatArray) -> FloatArray:
@@ -296,7 +285,7 @@ def _score_table(n: int) -> FloatArray:
     return np.asarray(ndtri((rank - 0.375) / (n + 0.25)))
 
 
-def _quantile(ordered: FloatArray, level: float) -> FloatArray:
+def quantile_of_ordered(ordered: FloatArray, level: float) -> FloatArray:
     """Return a quantile of draws in order, (..., n), by linear interpolation between them."""
     position = level * (ordered.shape[-1] - 1)
     below = int(position)

@@ -65,7 +65,7 @@ def records_data(found: ReportData) -> dict[str, Any]:
     """Return the numbers of each record, and draws of its posterior as far as the page can hold them."""
     rows = picked(found)
     position, _, _ = time_axis(found)
-    columns = ("median", "hdi_low", "hdi_high", "mean", "sd")
+    columns = ("median", "low", "high", "mean", "sd")
     numbers = np.stack([found.numbers[name][rows] for name in columns], axis=1)
     sd = np.sqrt(np.einsum("rii->ri", found.covariance[rows]))
     with np.errstate(invalid="ignore", divide="ignore"):  # records that were not fitted, or draws that are all equal

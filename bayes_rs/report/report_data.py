@@ -19,7 +19,7 @@ from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.report.campaign_section import CampaignShown, campaign_shown
 
-NUMBERS = ("median", "hdi_low", "hdi_high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
+NUMBERS = ("median", "low", "high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
 """Columns of the summary that the page shows."""
 _N_PRIOR_SHAPE = 2000
 _PER_RECORD = ("pareto_k", "misfit", "stresses_learnt")
@@ -119,7 +119,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         speed = np.where(wind_speed > 0.0, wind_speed, np.nan)
         derived["ti"] = {
             name: np.sqrt(numbers[column][:, 0]) / speed
-            for name, column in (("median", "median"), ("low", "hdi_low"), ("high", "hdi_high"))
+            for name, column in (("median", "median"), ("low", "low"), ("high", "high"))
         }
     prior = fit.prior_draws[:_N_PRIOR_SHAPE]
     return ReportData(
@@ -150,7 +150,7 @@ def _numbers(table: pd.DataFrame, n_record: int) -> dict[str, FloatArray]:
 
 
 def _derived(table: pd.DataFrame) -> dict[str, dict[str, FloatArray]]:
-    columns = {"median": "median", "low": "hdi_low", "high": "hdi_high"}
+    columns = {"median": "median", "low": "low", "high": "high"}
     return {
         str(name): {ours: rows[theirs].to_numpy(dtype=np.float64) for ours, theirs in columns.items()}
         for name, rows in table.groupby("stress", sort=False)

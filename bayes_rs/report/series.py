@@ -86,7 +86,7 @@ def make_series(found: ReportData) -> Series:
     position, width, timed = time_axis(found)
     failed = (found.flag & FAILURES) != 0
     remarked = (found.flag != 0) & ~failed
-    median, low, high = (found.numbers[name] for name in ("median", "hdi_low", "hdi_high"))
+    median, low, high = (found.numbers[name] for name in ("median", "low", "high"))
     if len(position) <= MOST_RECORDS:
         nothing = np.full(median.shape, np.nan)
         return Series(
