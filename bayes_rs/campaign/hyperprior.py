@@ -18,6 +18,8 @@ ETA = 2.0
 """Exponent of the LKJ density of the correlations: 1 is flat over matrices, 2 holds them a little nearer to 0."""
 MOST_SCATTER = 0.9
 """The records' own scatter is at most this share of the variance of any direction; the rest they have in common."""
+LEAST_SCATTER = 1e-8
+"""It is at least this share: records that differ by less than 0.0001 of the prior's width are alike."""
 _ORDER = np.array([1, 2, 3, 4, 5, 0])
 """The size comes last, so that the last pivot of a Cholesky factor is the variance that it has of its own."""
 _HALF = 0.5 * N_COORDINATE
@@ -27,11 +29,11 @@ def log_density_of_scatter(scatter: FloatArray) -> FloatArray:
     """Return the log-density, up to a constant, of the records' covariance Σ, shape (n,), at Σ (n, 6, 6).
 
     Σ = diag(τ) C diag(τ) with τ uniform on (0, 1) and C of density |C|^(η − 1) (Lewandowski, Kurowicka and Joe 2009),
-    where Σ has no eigenvalue above `MOST_SCATTER`; with the Jacobian of Σ in τ and C
+    where Σ has no eigenvalue above `MOST_SCATTER`, or below `LEAST_SCATTER`; with the Jacobian of Σ in τ and C
     that is |Σ|^(η − 1) Π Σ_ii^(1 − η − 6/2).
     """
     eigenvalue = np.linalg.eigvalsh(scatter)
-    inside = (eigenvalue[:, 0] > 0.0) & (eigenvalue[:, -1] < MOST_SCATTER)
+    inside = (eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < MOST_SCATTER)
     safe = np.where(inside[:, None], eigenvalue, 0.5)
     diagonal = np.where(inside[:, None], np.einsum("nii->ni", scatter), 0.5)
     density = (ETA - 1.0) * np.log(safe).sum(axis=1) - (ETA - 1.0 + _HALF) * np.log(diagonal).sum(axis=1)
@@ -44,7 +46,8 @@ def draw_scatter(n: int, rng: np.random.Generator) -> FloatArray:
     missing = n
     while missing > 0:
         scatter = _draw_untruncated(2 * missing + 16, rng)
-        scatter = scatter[np.linalg.eigvalsh(scatter)[:, -1] < MOST_SCATTER][:missing]
+        eigenvalue = np.linalg.eigvalsh(scatter)
+        scatter = scatter[(eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < MOST_SCATTER)][:missing]
         found.append(scatter)
         missing -= len(scatter)
     return np.concatenate(found)

@@ -18,9 +18,9 @@ from bayes_rs.priors.campaign import CampaignPrior
 from bayes_rs.priors.interface import LogRatioPrior
 from bayes_rs.priors.registry import Prior, make_prior
 
-_N_CHAIN = 4
-_BURN_IN = 500
-_N_SWEEP = 1500
+_N_CHAIN = 16
+_BURN_IN = 200
+_N_SWEEP = 300
 
 
 def prior_from_stresses(
