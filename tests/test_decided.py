@@ -6,7 +6,7 @@ from scenes import plain_noise, records_of
 
 from bayes_rs import STRESSES, Nuisances, fit, load_scan
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
+from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.priors import FlatPrior, GaussianPrior, MannPrior, RatioPrior, SamplePrior, WeakPrior
 from bayes_rs.priors.interface import log_ratios_from_stress, stress_from_correlations
 
@@ -89,14 +89,22 @@ class TestLaws:
         np.testing.assert_allclose(decided[0, :3], 0.0, atol=0.05)
 
     @pytest.mark.parametrize("error", [0.05, 0.22, 0.5])
-    def test_a_level_alone_decides_that_stress_and_no_other(self, error):
+    @pytest.mark.parametrize("which", ["uu", "vv", "ww"])
+    def test_a_level_alone_decides_that_stress_and_no_other(self, error, which):
         """However noisy it is: noise of the level is no knowledge of the shape."""
-        draws = weak_posterior(after(seen(("uu", error))))
-        decided, learnt = what_data_decided(draws, of_prior(WEAK))
-        known = 4.0 / (4.0 + error**2)
-        assert decided[0, 0] == pytest.approx(known, abs=0.01)
-        assert learnt[0] == pytest.approx(known, abs=0.05)
-        np.testing.assert_allclose(decided[0, 1:], 0.0, atol=0.04)
+        draws = weak_posterior(after(seen((which, error))), 80_000)
+        size = STRESSES.index(which)
+        room = PriorRoom.of(WEAK.draw(40_000, 8), size)
+        decided, learnt = what_data_decided(draws, room)
+        known = room.size_sd**2 / (room.size_sd**2 + error**2)
+        assert decided[0, size] == pytest.approx(known, abs=0.01)
+        assert learnt[0] == pytest.approx(known, abs=0.06)
+        np.testing.assert_allclose(np.delete(decided[0], size), 0.0, atol=0.05)
+
+    def test_the_size_is_the_variance_that_beams_see_best(self):
+        sizes = {"staring": 0, "50-beam": 0, "6-beam@opening_angle_deg=45": 0, "zx-300": 2}
+        for name, size in sizes.items():
+            assert leading_variance(design_matrix(load_scan(name).at_yaw(0.0))) == size
 
     def test_everything_known_is_decided_by_the_data(self):
         decided, learnt = what_data_decided(weak_posterior(1e-4 * np.eye(6)), of_prior(WEAK))

@@ -20,13 +20,13 @@ from bayes_rs.design.scan_grid import DESIGN, design_of, named_scans
 from bayes_rs.design.trial_records import drawn_records, simulated_records
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fitting import fit
-from bayes_rs.geometry.forward import sight
+from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import from_plain
-from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
+from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as shown
 from bayes_rs.theory.sonic_theory import sonic_moments
@@ -198,7 +198,9 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
     flat = stress.reshape(len(stress), -1, len(STRESSES))
     low90, low50, median, high50, high90 = np.quantile(flat, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1)
     mean = flat.mean(axis=1)
-    decided, learnt = what_data_decided(stress, PriorRoom.of(of_prior))
+    decided, learnt = what_data_decided(
+        stress, PriorRoom.of(of_prior, leading_variance(design_matrix(scene.scan.at_yaw(0.0))))
+    )
     ends = np.quantile(of_prior, [0.05, 0.95], axis=0)
     measured = {
         "truth": truth,

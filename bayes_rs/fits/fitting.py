@@ -104,8 +104,8 @@ def fit(
     default the noise of y is log-normal, with the noise's relative covariance. See `LogNormalLikelihood`, `WeakPrior`
     and `RecordSampler`.
 
-    For the target ``"sonic"``, R of the record is sampled first; the prior, and the contraction against it, are those
-    of R. Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
+    For the target ``"sonic"``, R of the record is sampled first; the prior, and ``decided`` against it, are those of R.
+    Then each draw of R gets one tensor S of the sonic, which scatters about R and together with the beams
     (`SonicFactor`). S is what the draws are, and what ESS and R-hat are of (`draw_sonic`).
 
     The folder holds ``run.json``, ``records.nc`` and Parquet tables, one file for each part and month, in folders

@@ -29,7 +29,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
-from bayes_rs.posteriors.decided import PriorRoom
+from bayes_rs.posteriors.decided import PriorRoom, leading_variance
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 from bayes_rs.records.belief import doubt_lines
 
@@ -115,11 +115,12 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
     prior = options.made_prior
     prior_draws = prior.draw(N_PRIOR_DRAW, PRIOR_SEED)
     weight, vectors = scan_directions(scan)
+    level = design_matrix(scan.at_yaw(0.0))
     shared = Shared(
         noise=noise,
         options=options,
-        room=PriorRoom.of(prior_draws),
-        level=design_matrix(scan.at_yaw(0.0)),
+        room=PriorRoom.of(prior_draws, leading_variance(level)),
+        level=level,
         vectors=vectors,
         prior_covariances=prior_covariances(prior_draws),
         keep_draws=options.keeps_draws(len(batch)),

@@ -13,9 +13,10 @@ from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.fit_options import check_prob
 from bayes_rs.fits.frames import FRAMES, to_lidar_frame
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD, summarize_draws, summary_frame
+from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors import diagnostics
-from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
+from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 
 
@@ -38,7 +39,7 @@ def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> 
             yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64)[rows])
             stress = to_lidar_frame(stress, yaw[:, None, None])  # noqa: PLW2901 - the same draws, turned
             diagnosed = _diagnosed_in_frame(stress, diagnosed)
-            diagnosed["decided"] = _decided_in_lidar_frame(stress, fit.prior_draws, yaw)
+            diagnosed["decided"] = _decided_in_lidar_frame(stress, fit, yaw)
         for column, values in summarize_draws(stress, derived, wind_speed[rows], prob, diagnosed).items():
             columns.setdefault(column, np.full((fit.n_record, values.shape[1]), np.nan))[rows] = values
     return summary_frame(
@@ -46,9 +47,10 @@ def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> 
     )
 
 
-def _decided_in_lidar_frame(stress: FloatArray, prior_draws: FloatArray, yaw: FloatArray) -> FloatArray:
+def _decided_in_lidar_frame(stress: FloatArray, fit: FitData, yaw: FloatArray) -> FloatArray:
     """Return what the data decided of turned draws, against the prior turned by the same wind directions, rad."""
-    rooms = (PriorRoom.of(to_lidar_frame(prior_draws, angle)) for angle in yaw)
+    size = leading_variance(design_matrix(fit.scan.at_yaw(0.0)))
+    rooms = (PriorRoom.of(to_lidar_frame(fit.prior_draws, angle), size) for angle in yaw)
     found = [what_data_decided(one[None], room)[0] for one, room in zip(stress, rooms, strict=True)]
     return np.concatenate(found)
 

@@ -26,9 +26,9 @@ class PriorRoom:
     mean : ndarray, shape (6,)
         Mean of x = (ln uu, ln vv/uu, ln ww/uu, artanh ρ_uv, artanh ρ_uw, artanh ρ_vw·u).
     standard : ndarray, shape (6, n_coordinate)
-        (x − mean) @ standard are uncorrelated and have variance 1 under the prior; the first is the size, ln uu.
+        (x − mean) @ standard are uncorrelated and have variance 1 under the prior; the first is the size.
     size_sd : float
-        Standard deviation of ln uu.
+        Standard deviation of the size: of the logarithm of uu, or of the variance that the beams see best.
     room : ndarray, shape (6,)
         What the prior leaves open of each stress when the size is known: of ln uu, ln vv, ln ww; and of uv, uw, vw over
         the mean root of their two variances.
@@ -36,9 +36,10 @@ class PriorRoom:
     Notes
     -----
     For `WeakPrior` and `RatioPrior` the coordinates are the prior's own, for any other prior those of the normal
-    distribution with its mean and covariance. The room of vv and ww is the standard deviation of their logarithms where
-    uu is known, that of uu the one where vv + ww is (or that of ln uu, if it is less). The room of a covariance is how
-    far it moves with the prior's shape where uu + vv + ww is known.
+    distribution with its mean and covariance. Where uu is the size, the room of vv and ww is the standard deviation of
+    their logarithms where uu is known, that of uu the one where vv + ww is (or that of ln uu, if it is less). The room
+    of a covariance is how far it moves with the prior's shape where uu is known. For beams that look up, ww is the
+    size, and changes places with uu.
     """
 
     mean: FloatArray
@@ -47,27 +48,35 @@ class PriorRoom:
     room: FloatArray
 
     @classmethod
-    def of(cls, draws: FloatArray) -> PriorRoom:
-        """Return the room of a prior from draws of its stresses, shape (n, 6)."""
+    def of(cls, draws: FloatArray, size: int = 0) -> PriorRoom:
+        """Return the room of a prior from draws of its stresses, shape (n, 6), and the variance that is the size."""
         inner = log_ratios_from_stress(draws)
         mean = inner.mean(axis=0)
         centred = inner - mean
         covariance = centred.T @ centred / len(centred)
-        size_sd = float(np.sqrt(covariance[0, 0]))
-        on_size = covariance[:, 0] / covariance[0, 0]
-        values, vectors = np.linalg.eigh(covariance - covariance[0, 0] * np.outer(on_size, on_size))
+        of_size = np.eye(len(STRESSES))[0]
+        of_size[size] = 1.0  # ln vv = ln uu + ln vv/uu
+        variance = float(of_size @ covariance @ of_size)
+        on_size = covariance @ of_size / variance
+        values, vectors = np.linalg.eigh(covariance - variance * np.outer(on_size, on_size))
         free = values > _RANK * np.trace(covariance)
         shape = vectors[:, free] / np.sqrt(values[free])
-        shape[0] = -(on_size[1:] @ shape[1:])  # less what follows from the size
-        standard = np.concatenate([np.eye(len(STRESSES), 1) / size_sd, shape], axis=1)
-        variances = draws[:, :3]
-        logarithm = np.log(variances)
-        of_uu = min(size_sd, float((logarithm[:, 0] - np.log(variances[:, 1] + variances[:, 2])).std()))
-        of_size = draws / variances.sum(axis=1, keepdims=True)
-        quantity = of_size[:, 3:] / np.sqrt(of_size[:, _ROWS] * of_size[:, _COLUMNS]).mean(axis=0)
-        others = np.concatenate([logarithm[:, 1:], quantity], axis=1)
-        moved = (centred @ standard[:, 1:]).T @ (others - others.mean(axis=0)) / len(draws)
-        return cls(mean, standard, size_sd, np.concatenate([[of_uu], np.sqrt((moved**2).sum(axis=0))]))
+        shape -= np.outer(of_size, on_size @ shape)  # less what follows from the size
+        size_sd = float(np.sqrt(variance))
+        standard = np.concatenate([of_size[:, None] / size_sd, shape], axis=1)
+        relative = draws / draws[:, size, None]
+        roots = np.sqrt(relative[:, _ROWS] * relative[:, _COLUMNS]).mean(axis=0)
+        quantity = np.concatenate([np.log(draws[:, :3]), relative[:, 3:] / roots], axis=1)
+        moved = (centred @ standard[:, 1:]).T @ (quantity - quantity.mean(axis=0)) / len(draws)
+        room = np.sqrt((moved**2).sum(axis=0))
+        others = draws[:, :3].sum(axis=1) - draws[:, size]
+        room[size] = min(size_sd, float(np.log(draws[:, size] / others).std()))
+        return cls(mean, standard, size_sd, room)
+
+
+def leading_variance(level: FloatArray) -> int:
+    """Return which of uu, vv, ww (0, 1, 2) beams see best: the size that they tell; from their matrix (n_beam, 6)."""
+    return int(np.argmax((level[:, :3] ** 2).sum(axis=0)))
 
 
 def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
