@@ -479,6 +479,17 @@ class TestRecordsThatTheDataOnlyTouch:
         xr.testing.assert_equal(got, wanted)
         assert sum(self.cut_off(got)) == 4
 
+    def test_a_pause_at_the_start_of_a_record_is_no_beginning_however_the_series_is_cut(self):
+        """A block of a stream that begins with this record does not know that there are samples before it."""
+        series = times_from("2024-03-01T09:50:00", 40)
+        minute = (series["time"].values - np.datetime64("2024-03-01T09:50")) / np.timedelta64(1, "m")
+        series = series.isel(sample=np.flatnonzero((minute < 10) | (minute > 15)))
+        chunks = [series.isel(sample=slice(at, at + 100)) for at in range(0, series.sizes["sample"], 100)]
+        got, wanted = stream_records(chunks, HUB, lateness=0.0), make_records(series, HUB)
+        xr.testing.assert_equal(got, wanted)
+        assert self.cut_off(got) == [False] * 4
+        assert (got["flag"].values[1] == BEAM_FLAGS["too_few_samples"]).all()
+
 
 class TestRecordsOfAUser:
     def records(self, n_record=40):
@@ -548,7 +559,7 @@ MASKS = {
     "packed limits": ("i2", {"valid_min": np.int16(-400), "valid_max": np.int16(400)}, {"scale_factor": 0.01}),
     "packed, negative scale": ("i2", {"valid_range": np.array([-300, 500], "i2")}, {"scale_factor": -0.01}),
     "default of floats": ("f4", {}, {}),
-    "default of integers": ("i2", {}, {"scale_factor": 0.01}),
+    "default of integers": ("i2", {}, {"scale_factor": 0.001}),  # −32.767 m/s: the limit of speed is no help
     "missing value": ("f8", {"missing_value": 3.5}, {}),
     "fill value": ("i2", {}, {"scale_factor": 0.01, "_FillValue": np.int16(350)}),
 }
