@@ -10,7 +10,7 @@ from scipy import stats
 from bayes_rs import InputError
 from bayes_rs.campaign import CampaignPosterior, campaign_table, prior_from_stresses, small_matrices
 from bayes_rs.campaign.cells import make_cells, size_correlation, speed_bin
-from bayes_rs.campaign.conjugate import HyperMoves, means_posterior, sums_of
+from bayes_rs.campaign.conjugate import means_posterior, sums_of
 from bayes_rs.campaign.hyperprior import (
     MOST_SCATTER,
     Hyper,
@@ -46,10 +46,10 @@ class Silent(Likelihood):
     dof: float = np.inf
     place: None = None
 
-    def log_density(self, stress, offset=None, gradient=None):
+    def log_density(self, stress, offset=None, gradient=None):  # noqa: ARG002
         return np.zeros(stress.shape[:2])
 
-    def whitened_residual(self, stress, offset=None, gradient=None):
+    def whitened_residual(self, stress, offset=None, gradient=None):  # noqa: ARG002
         return np.zeros((*stress.shape[:2], 1))
 
 

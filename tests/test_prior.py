@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError
+from bayes_rs.campaign import prior_from_stresses
 from bayes_rs.geometry.stress import is_realizable
 from bayes_rs.models import TURBULENCES
 from bayes_rs.priors.mann_family import family_shape
@@ -63,6 +64,7 @@ EVERY = [
     GaussianPrior([0.3, 0.3, -0.1, 0.0, 0.0, 0.0], WIDE, name="off the cone"),
     SamplePrior(skewed_sample(300, 1)),
     SamplePrior(WeakPrior().draw(50, seed=2), width=1.5, name="few"),
+    prior_from_stresses(RatioPrior(vv=0.8, sd_vv=0.1, uw=-0.4).draw(60, seed=3), np.linspace(4.0, 12.0, 60)),
 ]
 
 
