@@ -158,9 +158,13 @@ class TestWhichRecordsEnter:
             off = campaign_records(flag, FitOptions(campaign="off"))
             assert (len(off.record), off.why_not) == (0, "")
 
-    def test_without_a_record_there_is_none_even_if_asked_for(self):
-        chosen = campaign_records(np.full(40, FLAGS["no_wind"]), FitOptions(campaign="on"))
-        assert chosen.why_not.startswith("0 of 40 records")
+    @pytest.mark.parametrize("number", [0, 1])
+    def test_without_two_records_there_is_none_even_if_asked_for(self, number):
+        flag = np.full(40, FLAGS["no_wind"])
+        flag[:number] = 0
+        chosen = campaign_records(flag, FitOptions(campaign="on"))
+        assert len(chosen.record) == 0
+        assert chosen.why_not == f"{number} of 40 records can enter (fitted, steady, not flagged), and it begins at 2"
 
 
 class TestGroups:

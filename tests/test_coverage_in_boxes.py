@@ -1,6 +1,7 @@
 """Coverage on records of simulated turbulence: truths from the prior, noise from boxes that no noise model has seen."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,9 @@ from bayes_rs.models import models_folder
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.noise.file import load_noise
 from bayes_rs.priors.registry import WeakPrior
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 SCENES = {
     "4-beam": ("4-beam", {}, "4-beam.nc"),

@@ -1,6 +1,7 @@
 """The fit: calibration on records of known R, flags, targets, refusals."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,9 @@ from bayes_rs.noise.choice import noise_for_records
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.priors.registry import FlatPrior, WeakPrior
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 
 def simulated(name, n_record, prior, seed, **overrides):

@@ -1,6 +1,7 @@
 """Stresses with gradients: exact identities, one density for all likelihoods, calibration, an independent reference."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.priors.ratio import WeakPrior
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 NEUTRAL = [1.0, 0.5, 0.27, 0.0, -0.15, 0.0]
 MAKERS = {**LIKELIHOODS, **OTHER_LIKELIHOODS}

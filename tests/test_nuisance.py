@@ -1,6 +1,7 @@
 """Nuisances: the law of each, calibration with each drawn from its prior, and nothing changed by those that are off."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,9 @@ from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.priors.registry import WeakPrior
 from bayes_rs.wind.mean_vector import mean_wind
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 N_RECORD = 300
 

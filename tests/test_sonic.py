@@ -1,6 +1,7 @@
 """The target "sonic": the tensor of a sonic in this very record; exact draws, exact cases, simulated records."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,6 +25,9 @@ from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sonic import CLIP_LIMIT, SonicFactor, factored_tensor, match_factor
 from bayes_rs.priors.registry import WeakPrior
 from bayes_rs.simulation.lines import LineMaker
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 SEED = load_turbulence("fu-2022")
 WIND_SPEED = 10.0

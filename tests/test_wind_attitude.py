@@ -1,6 +1,7 @@
 """Attitude: signs, and that a record's own tilt and roll are another scan."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from bayes_rs.geometry.attitude import gain_turn, level_direction, roll_matrix
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors import RatioPrior
+
+fit = partial(fit, campaign="off")
+"""What one record tells is tested."""
 
 ROUNDING = 1e-12
 

@@ -15,6 +15,9 @@ KEPT_OUT = ("outside_noise", "beams_disagree")
 UNSTEADY = ("unsteady", "not_stationary")
 """Flags of records that are kept out unless they are asked for."""
 
+LEAST = 2
+"""Records that a campaign needs: one has no spread."""
+
 
 @dataclass(frozen=True)
 class CampaignRecords:
@@ -56,6 +59,7 @@ def campaign_records(flag: NDArray[np.int64], options: FitOptions) -> CampaignRe
     out = UNFITTED | int(np.bitwise_or.reduce([FLAGS.get(name, 0) for name in names]))
     record = np.flatnonzero((flag & out) == 0).astype(np.int64)
     counts = f"{len(record)} of {len(flag)} records can enter (fitted, steady, not flagged)"
-    if options.campaign == "auto" and len(record) < CAMPAIGN_FROM:
-        return CampaignRecords(none, f"{counts}, and it begins at {CAMPAIGN_FROM}")
-    return CampaignRecords(record, "" if len(record) else counts)
+    least = CAMPAIGN_FROM if options.campaign == "auto" else LEAST
+    if len(record) < least:
+        return CampaignRecords(none, f"{counts}, and it begins at {least}")
+    return CampaignRecords(record)
