@@ -190,6 +190,34 @@ def measure(name: str, n_record: int, seed: int) -> Iterator[dict[str, Any]]:
         yield row(scan, case, beams, records)
 
 
+SHORT = {
+    SCANS[0]: "6-beam, 45°",
+    "6-beam": "6-beam, 15°",
+    "pulsed-4-beam": "pulsed, 4",
+    "4-beam-planes": "4-beam, five distances",
+}
+
+
+def as_markdown(table: pd.DataFrame) -> str:
+    """Return the table of docs/diagnostics.md: flagged, and where a beam is at fault, named / flagged, %."""
+    scans = list(dict.fromkeys(table["scan"]))
+    cases: dict[str, dict[str, str]] = {}
+    for _, found in table.iterrows():
+        case = (
+            found["case"].replace("sector of six,", "a beam or sector,").replace("one beam, v", "a beam or sector, v")
+        )
+        cell = f"{100.0 * found['flagged']:.3g}"
+        if np.isfinite(found["named"]):
+            cell = f"{100.0 * found['named']:.3g} / {cell}"
+        elif np.isfinite(found["scatter"]):
+            cell += f" ({found['scatter']:.2f})"
+        together = "all records together" in str(found["words"])
+        cases.setdefault(case, {})[found["scan"]] = cell + (", all" if together else "")
+    lines = [["case", *(SHORT.get(scan, scan) for scan in scans)], ["---"] * (1 + len(scans))]
+    lines += [[case, *(of.get(scan, "") for scan in scans)] for case, of in cases.items()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
 def main() -> None:
     """Measure, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -39,6 +39,7 @@ _NULL = 0.3
 """Directions of the data that flow can move by less than this, in variances over that of the noise, test the noise."""
 _NOISE_FLOOR = 0.005
 _N_BOOT = 400
+_SOUND = 0.75
 
 
 @dataclass(frozen=True)
@@ -362,7 +363,7 @@ def _scatter(
     sound: NDArray[np.bool_],
 ) -> tuple[float, float, float] | None:
     """Return by which factor data scatter more than noise where flow cannot move them, with its 90 % interval."""
-    if sound.sum() < FEWEST:
+    if sound.sum() < FEWEST or sound.mean() < _SOUND:  # of few that are left, one would take those that scatter least
         return None
     known = np.isfinite(left[sound]).sum(axis=0) >= FEWEST
     middle = np.zeros(left.shape[1])

@@ -24,6 +24,8 @@ _STEP = 1e-4
 _LONGEST = 2.0
 _FAR = 4.5
 _LOOSE = 25.0
+_LEAST = 1e-9
+"""Of the largest of the beams: no tensor gives a beam less."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ class _Problem:
         """Return ln E[y], shape (n_record, n, n_beam), of coordinates (n_record, n, 8)."""
         n = ANY_AIR.n_coordinate
         signal = ANY_AIR.stress(theta[..., :n]) @ self.gain.swapaxes(-1, -2)
-        signal = np.maximum(signal, 1e-12) * np.exp(theta[..., n:] @ self.place.T)
+        signal = np.maximum(signal, _LEAST * signal.max(axis=-1, keepdims=True)) * np.exp(theta[..., n:] @ self.place.T)
         return np.asarray(np.where(self.used[:, None, :], np.log(signal + self.offset[:, None, :]), 0.0))
 
     def left(self, theta: FloatArray) -> FloatArray:

@@ -140,7 +140,7 @@ class CheckWords:
         return f"all records together: {words} ({abs(found.together.score[0, best]):.1f} standard deviations)"
 
     def _most_often(self) -> tuple[list[str], str, float]:
-        """Say which fault the flagged records have most often, what it is called, and which share of records has it."""
+        """Say which fault the flagged records have most often, what it is called, and the share of them all."""
         wrong = np.flatnonzero(self.check.disagree)
         total = len(self.check.misfit)
         if not len(wrong) or (total >= _MANY and len(wrong) <= _BY_CHANCE * total):
@@ -151,7 +151,7 @@ class CheckWords:
         own = [index for index, name in kind_of.items() if name == most]
         example = self.of_record(own[len(own) // 2])
         line = f"beams disagree in {len(wrong)} of {total} records, {len(own)} times as in this: {example}"
-        return [line], most, len(own) / total
+        return [line], most, len(wrong) / total
 
     def _key(self, index: int) -> str:
         """Return what tells faults apart when they are counted: the beams, not by how much they are off."""
