@@ -220,7 +220,7 @@ class TestFit:
 
     def test_it_says_what_the_scan_sees_what_the_prior_is_and_how_far_the_data_decided(self, finished):
         folder, done = finished
-        sight, prior, before, after, contraction, shape, _, _ = done.stdout.splitlines()
+        sight, prior, before, after, medians, plain, learnt, decided, _, _ = done.stdout.splitlines()
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
@@ -228,7 +228,14 @@ class TestFit:
         for line, wanted in ((before, WeakPrior().interval_widths(0.9)), (after, widths)):
             listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
             np.testing.assert_allclose([float(listed[name]) for name in STRESSES], wanted, rtol=0.0051)  # three digits
-        for line, column in ((contraction, "contraction"), (shape, "contraction_shape")):
+        for line, column in ((medians, "median"), (plain, "least_squares")):
+            listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
+            mean = table.groupby("stress")[column].mean()[list(STRESSES)]
+            for name, number in mean.items():  # of two records mean and median are the same
+                assert listed[name] == (f"{number:.3g}" if np.isfinite(number) else "–")
+        rows = pd.read_parquet(folder / "posterior")
+        assert learnt.endswith(f": {rows['stresses_learnt'].mean():.1f} of 6")
+        for line, column in ((decided, "decided"),):
             mean = table.groupby("stress")[column].mean()
             listed = dict(part.split() for part in line.rsplit(": ", 1)[1].split(", "))
             assert list(listed) == list(STRESSES)
@@ -344,7 +351,7 @@ class TestLongFit:
         folder = tmp_path / "out"
         assert {file.name for file in folder.iterdir()} == FILES - KEPT_DRAWS
         assert out.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
-        assert any(line.startswith("contraction against the prior") for line in out.splitlines())
+        assert any(line.startswith("decided by the data") for line in out.splitlines())
         code, kept, _ = long_fit(output=tmp_path / "kept")
         assert code == 0
         assert (folder / "summary.csv").read_bytes() == (tmp_path / "kept" / "summary.csv").read_bytes()

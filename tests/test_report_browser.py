@@ -144,7 +144,7 @@ class TestPictures:
         page = open_page("full")
         counts = {
             figure: page.locator(f"[data-figure={figure}] svg").count()
-            for figure in ("availability", "stresses", "contraction", "intensity", "corner", "shape", "diagnostics")
+            for figure in ("availability", "stresses", "decided", "intensity", "corner", "shape", "diagnostics")
         }
         assert counts.pop("diagnostics") >= 3
         assert counts.pop("stresses") == STRESS_PANELS

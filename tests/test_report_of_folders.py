@@ -74,18 +74,20 @@ class TestSameSections:
         found, data = sections(place / draws)
         assert list(found) == list(expected[0])
         assert len(found) == 9
-        for name in ("read", "stresses", "contraction", "intensity", "shape", "diagnostics"):
+        for name in ("read", "stresses", "decided", "intensity", "shape", "diagnostics"):
             one, other = (re.sub(DRAWS, "", some[name]) for some in (found, expected[0]))
             assert one == other, name
         assert data["records"]["prior"] == expected[1]["records"]["prior"]
 
     def test_they_tell_what_was_read_and_where_the_prior_decides(self, expected):
-        read, along = expected[0]["read"], expected[0]["contraction"]
+        read, along = expected[0]["read"], expected[0]["decided"]
         assert "0.csv: " in read
         assert "5 with an invalid value" in read
         assert "skipped bad.csv: " in read
         assert "1 temporary" in read
-        assert "Contraction along the directions of R" in along
+        assert "Stresses learnt from the data, of six: " in along
+        assert "least squares" in along
+        assert "Directions of R: how far the data narrowed" in along
         assert "Prior: weak: " in along
 
     def test_the_run_file_has_what_a_reader_of_the_folder_needs(self, place, tmp_path):

@@ -108,15 +108,17 @@ def describe(
     for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
         lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
-    lines.append(f"least squares, no prior (median record), m² s⁻²: {_of_stresses(middle['least_squares'], '.3g')}")
+    lines.append(
+        f"least squares, no prior (median record; – if no beams tell it), m² s⁻²: {_of_stresses(middle['least_squares'], '.3g')}"
+    )
     lines.append(f"stresses learnt from the data (median record): {np.nanmedian(learnt):.1f} of 6")
     lines.append(f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'] + 0.0, '.2f')}")
     return lines
 
 
 def _of_stresses(values: Iterable[float], form: str) -> str:
-    """Write a number for each stress; one that is not there is not seen."""
+    """Write a number for each stress, and a dash for one that is not there."""
     return ", ".join(
-        f"{name} {format(value, form) if np.isfinite(value) else 'not seen'}"
+        f"{name} {format(value, form) if np.isfinite(value) else '–'}"
         for name, value in zip(STRESSES, values, strict=True)
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
+from bayes_rs.fits.summarizing import OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
 from bayes_rs.report.availability import Availability
@@ -23,6 +24,8 @@ MOST_TI_POINTS = 1000
 MOST_SHAPE_POINTS = 2000
 MOST_PICKED = 60_000
 """Records up to which each can be picked: more than a year of ten minutes."""
+MOST_BESIDE = 10_000
+"""Records up to which each one's table says what the data decided, and least squares: 2 MB of the page of a year."""
 _PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i + 1, len(STRESSES))]
 
 
@@ -77,10 +80,11 @@ def records_data(found: ReportData) -> dict[str, Any]:
         "speed": pack(found.wind_speed[rows], "f4"),
         "numbers": pack_rows(numbers),
         "correlation": _hundredths(correlation),
-        "decided": _hundredths(found.numbers["decided"][rows]),
-        "beside": pack_rows(np.stack([found.numbers[name][rows] for name in ("least_squares", "least_squares_se")], 1)),
         "first": int(np.argmax(found.fitted[rows])),
     }
+    if len(rows) <= MOST_BESIDE:
+        data["decided"] = _hundredths(found.numbers["decided"][rows])
+        data["beside"] = pack_rows(np.stack([found.numbers[name][rows] for name in OF_RECORD[1:]], axis=1))
     n_draw = min(MOST_DRAWS, DRAW_BYTES // (16 * len(found.record)))  # six 16-bit numbers, in base64
     if found.draws is not None and n_draw >= LEAST_DRAWS and found.fitted.any():
         draws = found.draws(n_draw)

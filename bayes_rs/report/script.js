@@ -135,8 +135,8 @@
     speed: new Float32Array(bytes(packed.speed)),
     numbers: rowsOf(packed.numbers),
     correlation: new Int8Array(bytes(packed.correlation)),
-    decided: new Int8Array(bytes(packed.decided)),
-    beside: rowsOf(packed.beside),
+    decided: packed.decided ? new Int8Array(bytes(packed.decided)) : null,
+    beside: packed.beside ? rowsOf(packed.beside) : null,
   };
   const n = records.number.length;
   const pairs = [];
@@ -625,7 +625,7 @@
     const table = document.createElement("table");
     const head = document.createElement("thead");
     const heading = document.createElement("tr");
-    ["stress", "median", `${percent} from`, "to", "mean", "sd", "decided by the data", "least squares", "its error", ...data.stresses.slice(1).map((name) => `corr. ${name}`)].forEach((words, k) =>
+    ["stress", "median", `${percent} from`, "to", "mean", "sd", ...(records.decided ? ["decided by the data", "least squares", "its error"] : []), ...data.stresses.slice(1).map((name) => `corr. ${name}`)].forEach((words, k) =>
       heading.append(cell("th", words, { scope: "col", ...(k ? { class: "n" } : {}) })));
     head.append(heading);
     const body = document.createElement("tbody");
@@ -633,13 +633,15 @@
       const line = document.createElement("tr");
       line.append(cell("th", name, { scope: "row" }));
       [numbers.median, numbers.low, numbers.high, numbers.mean, numbers.sd].forEach((column) => line.append(cell("td", written(column[row]), { class: "n" })));
-      const share = records.decided[6 * chosen + row];
-      line.append(cell("td", share === -128 ? "–" : fixed(share / 100), { class: "n" }));
-      for (const offset of [0, 6]) line.append(cell("td", written(unpacked(records.beside, chosen, 6, offset)[row]), { class: "n" }));
+      if (records.decided) {
+        const share = records.decided[6 * chosen + row];
+        line.append(cell("td", share === -128 ? "–" : fixed(share / 100), { class: "n" }));
+        for (const offset of [0, 6]) line.append(cell("td", written(unpacked(records.beside, chosen, 6, offset)[row]), { class: "n" }));
+      }
       for (let column = 1; column < 6; column += 1) line.append(cell("td", row < column ? fixed(correlationOf(row, column)) : "", { class: "n" }));
       body.append(line);
     });
-    table.append(cell("caption", `Posterior of ${nameOf(chosen)}, ${unit}, what the data decided of it, least squares, and correlations between the stresses`), head, body);
+    table.append(cell("caption", `Posterior of ${nameOf(chosen)}, ${unit}${records.decided ? ", what the data decided of it, least squares," : ","} and correlations between the stresses`), head, body);
     const box = document.createElement("div");
     for (const [name, value] of [["class", "scroll"], ["tabindex", "0"], ["role", "region"], ["aria-label", "Posterior of the chosen record"]]) box.setAttribute(name, value);
     box.append(table);
