@@ -6,6 +6,7 @@ from scipy import stats
 
 from bayes_rs import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.stress import is_realizable
+from bayes_rs.models import TURBULENCES
 from bayes_rs.priors.mann_family import family_shape
 from bayes_rs.priors.registry import (
     PRIORS,
@@ -18,6 +19,7 @@ from bayes_rs.priors.registry import (
     WeakPrior,
     make_prior,
 )
+from bayes_rs.turbulence.mann import load_turbulence
 from bayes_rs.turbulence.one_point import scaled_stresses
 
 MEAN = np.array([1.0, 0.6, 0.35, 0.1, -0.25, 0.05])
@@ -298,9 +300,29 @@ class TestRatio:
         spread = 5.0 / np.sqrt(200_000)  # five standard errors of a mean in units of the sd
         np.testing.assert_allclose(np.log(stress[:, 0]).mean(), 0.0, atol=2.0 * spread)
         np.testing.assert_allclose(np.log(stress[:, 0]).std(), 2.0, rtol=spread)
-        np.testing.assert_allclose(log_ratio.mean(axis=0), np.log([0.5, 0.27]), atol=0.6 * spread)
-        np.testing.assert_allclose(log_ratio.std(axis=0), [0.5, 0.6], rtol=spread)
+        np.testing.assert_allclose(log_ratio.mean(axis=0), np.log([0.64, 0.4]), atol=0.9 * spread)
+        np.testing.assert_allclose(log_ratio.std(axis=0), [0.5, 0.9], rtol=spread)
         np.testing.assert_allclose(np.arctanh(correlation[:, :2]).mean(axis=0), [0.0, -0.3], atol=0.35 * spread)
+
+    @pytest.mark.parametrize("flow", [*TURBULENCES, "neutral surface layer", "isotropic"])
+    def test_the_central_region_of_weak_holds_its_sources_and_isotropic_air(self, flow):
+        """Each of the ratios and the correlation inside its central 95 %, and all three inside their joint 95 %."""
+        if flow == "neutral surface layer":  # Panofsky and Dutton (1984), Table 7.1: σ over u* of 2.39, 1.92, 1.25
+            stress = np.array([2.39**2, 1.92**2, 1.25**2, 0.0, -1.0, 0.0])
+        elif flow == "isotropic":
+            stress = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        else:
+            stress = load_turbulence(flow).stresses()
+        weak = WeakPrior()
+        distance = np.array(
+            [
+                np.log(stress[1] / stress[0] / weak.ratio_vv) / weak.log_sd_vv,
+                np.log(stress[2] / stress[0] / weak.ratio_ww) / weak.log_sd_ww,
+                (np.arctanh(stress[4] / np.sqrt(stress[0] * stress[2])) - weak.z_uw) / weak.z_sd,
+            ]
+        )
+        assert np.all(np.abs(distance) < 1.1)  # as the docstring says; the central 95 % end at 1.96
+        assert distance @ distance < stats.chi2.ppf(0.95, 3)
 
     def test_ratio_has_the_medians_and_widths_that_are_given(self):
         middle = {"uu": 0.7, "vv": 0.6, "ww": 0.3, "uv": 0.1, "uw": -0.4, "vw": 0.2}
@@ -316,9 +338,9 @@ class TestRatio:
         np.testing.assert_allclose(RatioPrior().draw(1000, seed=1), WeakPrior().draw(1000, seed=1), rtol=1e-13)
 
     def test_widened_multiplies_every_width(self):
-        assert WeakPrior().widened(2.0) == WeakPrior(log_sd_uu=4.0, log_sd_vv=1.0, log_sd_ww=1.2, z_sd=0.7)
+        assert WeakPrior().widened(2.0) == WeakPrior(log_sd_uu=4.0, log_sd_vv=1.0, log_sd_ww=1.8, z_sd=0.7)
         wider = RatioPrior().widened(2.0)
-        assert (wider.sd_uu, wider.sd_vv, wider.sd_ww, wider.sd_uv) == (4.0, 1.0, 1.2, 0.7)
+        assert (wider.sd_uu, wider.sd_vv, wider.sd_ww, wider.sd_uv) == (4.0, 1.0, 1.8, 0.7)
 
 
 class TestMann:
@@ -468,12 +490,12 @@ class TestByName:
     def test_the_numbers_in_the_words(self):
         """Factors are exp(1.96 sd), correlations are tanh(artanh ρ ± 1.96 sd)."""
         assert WeakPrior().in_words() == (
-            "weak: uu log-normal about 1 m² s⁻² (factor 50 either way), vv/uu about 0.5 (factor 2.7), "
-            "ww/uu about 0.27 (factor 3.2), correlation of u and w about -0.29, the others about 0 (95 %)"
+            "weak: uu log-normal about 1 m² s⁻² (factor 50 either way), vv/uu about 0.64 (factor 2.7), "
+            "ww/uu about 0.4 (factor 5.8), correlation of u and w about -0.29, the others about 0 (95 %)"
         )
         assert RatioPrior(uv=0.1).in_words() == (
-            "ratio: uu log-normal about 1 (factor 50.4), vv/uu log-normal about 0.5 (factor 2.66), ww/uu log-normal "
-            "about 0.27 (factor 3.24); correlations uv -0.53 to 0.66, uw -0.76 to 0.37, vw given u -0.60 to 0.60 (95 %)"
+            "ratio: uu log-normal about 1 (factor 50.4), vv/uu log-normal about 0.64 (factor 2.66), ww/uu log-normal "
+            "about 0.4 (factor 5.84); correlations uv -0.53 to 0.66, uw -0.76 to 0.37, vw given u -0.60 to 0.60 (95 %)"
         )
         variance = np.diag([0.04, 0.01, 0.01, 0.0025, 0.0025, 0.0009])
         assert GaussianPrior([1.0, 0.6, 0.4, 0.0, -0.2, 0.0], variance).in_words() == (
