@@ -106,7 +106,7 @@ AIRS = {
     "day": Case("a day: 6 to 14 m/s, TI alike, R scattered by 0.3", _NEUTRAL, {"spread": 0.3}, wind="day"),
     "wake": Case("a wake: +50 % in a sector of 60°", _NEUTRAL, {"wake": (60.0, 120.0, 0.5)}, _MANY),
     "dead": Case("a dead beam", _NEUTRAL, {"dead": (1,)}, _MANY),
-    "swapped": Case("two beams exchanged", _NEUTRAL, {"swapped": ((1, 3),)}, _MANY),
+    "swapped": Case("two far beams exchanged", _NEUTRAL, {"swapped": "far"}, _MANY),
     "tilt": Case("tilt 5° more than declared", _NEUTRAL, {"tilt_deg": 5.0}, _MANY),
 }
 
@@ -123,8 +123,11 @@ def run_case(name: str, *, n_record: int, seed: int) -> pd.DataFrame:
     folder = Path(tempfile.mkdtemp(prefix="real-air-"))
     try:
         wind = _wind(case.wind, n_record)
-        options = {"wind_speed": wind, "size": (wind / 10.0) ** 2, "seed": seed, **case.options}
-        files, truth = make_files(folder / "files", brs.load_scan(scan), case.air, n_record=n_record, **options)
+        options: dict[str, Any] = {"wind_speed": wind, "size": (wind / 10.0) ** 2, "seed": seed, **case.options}
+        made_for = brs.load_scan(scan)
+        if options.get("swapped") == "far":
+            options["swapped"] = ((1, made_for.n_beam // 2),)
+        files, truth = make_files(folder / "files", made_for, case.air, n_record=n_record, **options)
         began = time.process_time()
         settings = brs.Settings().changed(scan=scan, files=[str(file) for file in files], output=str(folder / "out"))
         fit = brs.fit_files(settings)
