@@ -109,7 +109,8 @@ def describe(
         lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
     lines.append(
-        f"least squares, no prior (median record; – if no beams tell it), m² s⁻²: {_of_stresses(middle['least_squares'], '.3g')}"
+        "least squares, no prior (median record; – if no beams tell it), m² s⁻²: "
+        f"{_of_stresses(middle['least_squares'], '.3g')}"
     )
     lines.append(f"stresses learnt from the data (median record): {np.nanmedian(learnt):.1f} of 6")
     lines.append(f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'] + 0.0, '.2f')}")
