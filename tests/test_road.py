@@ -239,8 +239,8 @@ OPTION_CASES = {
     "prob": ({}, {"prob": 0.5}),
     "derived": ({}, {"derived": ("tke", "ti")}),
     "draws": ({}, {"draws": "none"}),
-    "campaign": ({}, {"campaign": "on"}),
-    "campaign_group": ({"campaign": "on"}, {"campaign_group": "stability"}),
+    "campaign": ({"campaign_unsteady": True}, {"campaign": "on"}),
+    "campaign_group": ({"campaign": "on", "campaign_unsteady": True}, {"campaign_group": "stability"}),
     "campaign_unsteady": ({"campaign": "on"}, {"campaign_unsteady": True}),
 }
 """Say here what an option changes: other options that it needs, and another value."""
