@@ -20,6 +20,8 @@ REPRESENTATIVE = 0.9
 _OF_ONE = (*STRESSES, "tke", "ti", "u_star", "vv_uu", "ww_uu", "rho_uv", "rho_uw", "rho_vw")
 _RELATIVE = ("vv", "ww", "uv", "uw", "vw", "tke")
 """Quantities of the size of uu: what was decided of them is told of their ratios to the mean of uu."""
+_SIGNED = ("uv", "uw", "vw", "rho_uv", "rho_uw", "rho_vw")
+"""Quantities that may be negative; of all others the logarithm is compared."""
 _LEAST = 3
 """A bin with fewer records has no row: it has no spread and no quantile."""
 
@@ -76,8 +78,8 @@ def campaign_table(
     have these weights, too, but no auxiliary.
 
     `decided` is 1 − variance of the number in the posterior over that in campaigns without data. A number of the size
-    of uu is divided by the mean of uu for it, TI and uu are taken as logarithms: what says how large turbulence is
-    would otherwise seem to decide all else.
+    of uu is divided by the mean of uu for it, since what says how large turbulence is would otherwise seem to decide
+    all else; of what is positive the logarithm is compared, since the prior's long tails would otherwise do.
 
     References
     ----------
@@ -224,9 +226,9 @@ def _decided(quantity: str, now: dict[str, FloatArray], then: dict[str, FloatArr
     def told(numbers: dict[str, FloatArray]) -> FloatArray:
         value = numbers[quantity]
         if root in _RELATIVE:
-            return np.asarray(value / numbers["uu"])
-        if root == "u_star":
-            return np.asarray(value / np.sqrt(numbers["uu"]))
-        return np.asarray(np.log(np.maximum(value, 1e-300))) if root in ("uu", "ti", "ti_p90") else value
+            value = value / numbers["uu"]
+        elif root == "u_star":
+            value = value / np.sqrt(numbers["uu"])
+        return np.asarray(value if root in _SIGNED else np.log(np.maximum(value, 1e-300)))
 
     return float(np.clip(1.0 - np.var(told(now)) / np.var(told(then)), 0.0, 1.0))
