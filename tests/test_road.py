@@ -241,8 +241,8 @@ OPTION_CASES = {
     "draws": ({}, {"draws": "none"}),
     "scatter": ({}, {"scatter": "theory"}),
     "unsteady_level": ({}, {"unsteady_level": 0.0}),
-    "campaign": ({}, {"campaign": "on"}),
-    "campaign_group": ({"campaign": "on"}, {"campaign_group": "stability"}),
+    "campaign": ({"campaign_unsteady": True}, {"campaign": "on"}),
+    "campaign_group": ({"campaign": "on", "campaign_unsteady": True}, {"campaign_group": "stability"}),
     "campaign_unsteady": ({"campaign": "on"}, {"campaign_unsteady": True}),
 }
 """Say here what an option changes: other options that it needs, and another value."""

@@ -80,7 +80,7 @@ def _words(shown: CampaignShown) -> str:
     else:
         said.append("The data decided more than half of every stress.")
     said.append(f"The new prior was {str(shown.about['prior']).removeprefix('campaign: ')}.")
-    moves = ", ".join(f"{name} {100.0 * value:.0f} %" for name, value in shown.about["acceptance"].items())
+    moves = "; ".join(f"{name} {100.0 * value:.0f} %" for name, value in shown.about["acceptance"].items())
     sampled = f"{shown.about['n_sampled']} of {shown.about['n_record']} records were sampled together"
     said.append(f"{sampled}, {shown.about['n_sweep']} sweeps a chain; accepted proposals: {moves}.")
     lead = (
