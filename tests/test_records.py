@@ -557,7 +557,7 @@ class TestMeasured:
                         time = datetime.fromisoformat(row["Timestamp"]).replace(tzinfo=None)
                         start = time.replace(minute=time.minute // 10 * 10, second=0, microsecond=0)
                         chosen.setdefault((start, int(row["LOSindex"])), []).append(float(row["RWS"]))
-        assert (records.sizes["record"], records.sizes["beam"]) == (144, 2)
+        assert records["variance"].sizes == {"record": 144, "beam": 2}
         assert records["beam"].values.tolist() == [2, 3]
         assert json.loads(records.attrs["beams_absent"]) == [0, 1]
         assert report_of(records)["dropped"] == {"missing": 0, "status": 2, "cnr": 0, "despike": 0}

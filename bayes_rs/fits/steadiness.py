@@ -31,7 +31,7 @@ class _Test(NamedTuple):
 
 
 TESTS = (_Test(0, "trend", 0.3), _Test(0, "front", 0.45), _Test(1, "front", 0.1))
-"""The tests of a record, and how its false alarms are shared among them; what is left to one is kept for what theory leaves out."""
+"""The tests of a record, and their shares of its false alarms; what is left to one is for what theory leaves out."""
 
 
 class Modulation(NamedTuple):

@@ -21,6 +21,8 @@ _GAUSSIAN_SHARE = 0.7  # ... of which this share in Gaussian air
 _PRIOR_DEPTH = 0.2  # and the others with depths that decay so fast
 _N_STEP = 200
 _DONE = 1e-6
+_FINE_DEPTHS = np.r_[0.0, np.geomspace(1e-3, 3.0, 120)]
+_NESTED = 0.6  # what several numbers of blocks of the same records know, over what as many other records would
 _LEAST_RECORDS = 3  # records from which on the scatter of the means is taken from the records
 _THEORY_ERROR = 0.05  # of the expected scatters, relative: of the turbulence's shape and the length scale
 
@@ -133,10 +135,10 @@ def learn_scatter(records: xr.Dataset, states: BlockStates, *, leave_out: BoolAr
     -----
     The strength of the air is taken for exp(√D g − D/2) with g an Ornstein–Uhlenbeck process of the time scale τ. A
     record's scatter S_M over M blocks is then about E_M + D f_M(τ), E_M being theory's and f_M that of
-    `excess_of_blocks`, times a χ² variable over its M − 1 degrees of freedom. All records share τ: it comes from the
-    mean excess at several M. The distribution of D over the records is found by expectation and maximisation on a grid
-    (Kiefer and Wolfowitz 1956), with the finest blocks as data; each record has the posterior mean of its v(D, τ)
-    under it. Before any record is seen, seven in ten are taken to be Gaussian.
+    `excess_of_blocks`, times a χ² variable over its M − 1 degrees of freedom. All records share τ: it comes from
+    their mean scatters at several M. The distribution of D over the records is found by expectation and maximisation on
+    a grid (Kiefer and Wolfowitz 1956), with the finest blocks as data; each record has the posterior mean of its
+    v(D, τ) under it. Before any record is seen, seven in ten are taken to be Gaussian.
 
     References
     ----------
@@ -154,20 +156,17 @@ def learn_scatter(records: xr.Dataset, states: BlockStates, *, leave_out: BoolAr
     if len(rows) == 0:
         none = np.zeros(len(whole))
         return VarianceScatter(none, none, 0.0, _TYPICAL_SCALE, 1.0, 0)
-    time_scale = _time_scale(whole[rows], expected[rows], finest, states.duration)
     column = finest[-1]
+    time_scale = _time_scale(whole[rows], expected[rows], finest, states.duration)
     gain = excess_of_blocks(states.duration, time_scale)[column]
-    log_likelihood = _log_likelihood(
-        whole[rows, column], expected[rows, column][:, None] + _DEPTHS * gain, BLOCKS[column] - 1
-    )
-    weights, of_record = _mixture(log_likelihood)
+    mean = expected[rows, column][:, None] + _DEPTHS * gain
+    weights, of_record = _mixture(_log_likelihood(whole[rows, column], mean, BLOCKS[column] - 1))
     size = record_scatter(_DEPTHS, states.duration, time_scale)
     found = np.full(len(whole), float(weights @ size))
     found[rows] = of_record @ size
     shared = _shared(whole, expected, of_beams, expected_of_beams, rows, column, n_beam)
-    return VarianceScatter(
-        shared * found, (1.0 - shared) * found, float(weights @ _DEPTHS), time_scale, shared, len(rows)
-    )
+    depth = float(weights @ _DEPTHS)
+    return VarianceScatter(shared * found, (1.0 - shared) * found, depth, time_scale, shared, len(rows))
 
 
 def _expected(states: BlockStates, n_record: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -209,19 +208,20 @@ def _mixture(log_likelihood: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _time_scale(whole: FloatArray, expected: FloatArray, columns: list[int], duration: float) -> float:
-    """Return the time scale from the mean excesses at several numbers of blocks: its posterior mean, in logarithms."""
-    prior = -0.5 * (np.log(_TIME_SCALES / _TYPICAL_SCALE) / _SCALE_LOG_SD) ** 2
-    excess = (whole - expected)[:, columns]
-    mean, size = excess.mean(axis=0), expected[:, columns].mean(axis=0)
-    if len(excess) >= _LEAST_RECORDS and len(columns) > 1:
-        error = np.cov(excess, rowvar=False) / len(excess) + np.diag((_THEORY_ERROR * size) ** 2)
-        inverse = np.linalg.inv(error)
+    """Return the posterior mean, in logarithms, of the time scale, from the mean scatters at several numbers of blocks.
+
+    A mean scatter is taken for a gamma variable about its expectation, the depth being the likeliest for each time
+    scale: a normal density with the records' own spread would believe the quiet halves of chance more than the others.
+    """
+    log_weight = -0.5 * (np.log(_TIME_SCALES / _TYPICAL_SCALE) / _SCALE_LOG_SD) ** 2
+    if len(whole) >= _LEAST_RECORDS and len(columns) > 1:
+        mean, size = whole[:, columns].mean(axis=0), expected[:, columns].mean(axis=0)
+        spread = whole[:, columns].var(axis=0) / mean**2 / len(whole) / _NESTED
+        precision = 1.0 / (spread + _THEORY_ERROR**2)
         for index, scale in enumerate(_TIME_SCALES.tolist()):
-            gain = excess_of_blocks(duration, scale)[columns]
-            depth = max(float(gain @ inverse @ mean / (gain @ inverse @ gain)), 0.0)
-            off = mean - depth * gain
-            prior[index] -= 0.5 * float(off @ inverse @ off)
-    weight = np.exp(prior - prior.max())
+            about = size + _FINE_DEPTHS[:, None] * excess_of_blocks(duration, scale)[columns]
+            log_weight[index] -= float(np.min((np.log(about) + mean / about) @ precision))
+    weight = np.exp(log_weight - log_weight.max())
     return float(np.exp(np.sum(weight * np.log(_TIME_SCALES)) / weight.sum()))
 
 

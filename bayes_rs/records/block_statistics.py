@@ -203,7 +203,7 @@ def _winds(mean: FloatArray, own: BoolArray, chosen: Scan) -> FloatArray:
             wind[rows, 0] = np.einsum("b,rbp->rp", weights[0, pattern], mean[rows][:, pattern])
         if sees_direction:
             wind[rows, 1] = np.einsum("b,rbp->rp", weights[1, pattern], mean[rows][:, pattern])
-    return wind
+    return np.where(np.isfinite(wind), wind, np.nan)
 
 
 def _scatters(sums: _Sums, own: BoolArray, blocks: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
@@ -224,4 +224,5 @@ def _scatters(sums: _Sums, own: BoolArray, blocks: tuple[int, ...]) -> tuple[Flo
             relative = np.where(own[..., None], variance / variance.mean(axis=-1, keepdims=True), 0.0)
             both[:, column] = np.log(relative.sum(axis=1) / n_own[:, None]).var(axis=-1, ddof=1)
             of_beams[:, column] = np.where(own, np.log(variance).var(axis=-1, ddof=1), 0.0).sum(axis=1) / n_own
-    return both, of_beams
+    # one kind of NaN, whatever the way to it, so that records are the same bit by bit in any company
+    return np.where(np.isfinite(both), both, np.nan), np.where(np.isfinite(of_beams), of_beams, np.nan)
