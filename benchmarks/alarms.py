@@ -176,12 +176,12 @@ def names(told: CheckWords, index: int, beams: list[int]) -> bool:
     return len(found & set(beams)) >= 0.5 * len(found | set(beams))
 
 
-def measure(name: str, n_record: int, seed: int) -> Iterator[dict[str, Any]]:
+def measure(name: str, n_record: int, seed: int, airs: list[str] | None) -> Iterator[dict[str, Any]]:
     """Give the rows of a scan."""
     scan = brs.load_scan(name)
     good = None
     for case, asked in GOOD.items():
-        if case.startswith("tilt") and scan.n_beam == 2:
+        if (case.startswith("tilt") and scan.n_beam == 2) or (airs and case not in airs):
             continue
         records = records_of(scan, n_record, seed, **asked)
         good = records if good is None else good
@@ -224,12 +224,13 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scan", action="append", help="only these scans; the others' rows stay")
+    parser.add_argument("--air", action="append", help="only these kinds of good air; the first is spoiled")
     parser.add_argument("--output", type=Path, default=HERE / "alarms.csv")
     asked = parser.parse_args()
     scans = tuple(asked.scan or SCANS)
     rows = []
     for name in scans:
-        for found in measure(name, asked.records, asked.seed):
+        for found in measure(name, asked.records, asked.seed, asked.air):
             print(*(f"{key} {value}" for key, value in found.items() if key != "scan"), sep=", ", flush=True)
             rows.append(found)
     table = pd.DataFrame(rows)

@@ -162,8 +162,8 @@ class CheckWords:
 
     def _tilt(self) -> list[str]:
         mean = self.check.kinds.get("mean")
-        if mean is None or mean.tilt is None:
-            return []
+        if mean is None or mean.tilt is None or mean.p_together() < CAMPAIGN_LEVEL:
+            return []  # a beam at fault would pass for a tilt
         angle, sd = np.degrees(mean.tilt)
         if not abs(angle) > max(_SHARP_TILT * sd, _LEAST_TILT):
             return []
