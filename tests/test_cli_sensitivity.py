@@ -83,13 +83,13 @@ def test_what_is_printed_is_in_the_table(run, scene):
     table = prior_sensitivity(records, scan, noise=noise, seed=1, factors=(0.5, 3.0))
     plain = table[table["factor"] == 1.0].set_index("stress")
     for line, name in zip(out[3:], STRESSES, strict=True):
-        words = line.split(maxsplit=5)
+        words = line.split(maxsplit=6)
         assert words[0] == name
         numbers = [plain.loc[name, "prior_width"], plain.loc[name, "width"]]
         of_stress = table[table["stress"] == name].set_index("factor")["width_ratio"]
-        numbers += [of_stress[0.5], of_stress[3.0]]
-        np.testing.assert_allclose([float(word) for word in words[1:5]], numbers, atol=0.0051)  # two decimals
-        assert words[5] == plain.loc[name, "decided_by"]
+        numbers += [of_stress[0.5], of_stress[3.0], plain.loc[name, "decided"]]
+        np.testing.assert_allclose([float(word) for word in words[1:6]], numbers, atol=0.0051)  # two decimals
+        assert words[6] == plain.loc[name, "decided_by"]
     assert out[3].endswith("the data")  # uu: what a staring lidar sees
     assert out[5].endswith("the prior")  # ww: what it cannot
 
@@ -97,7 +97,7 @@ def test_what_is_printed_is_in_the_table(run, scene):
 def test_lines_without_another_factor():
     table = pd.DataFrame([(1.0, "uu", 4.0, 1.0, 1.0, 0.0, 0.9, "")], columns=list(COLUMNS))
     assert sensitivity_lines(table)[0].split() == ["stress", "prior", "posterior", "decided", "by"]
-    assert sensitivity_lines(table)[1].split() == ["uu", "4.00", "1.00"]
+    assert sensitivity_lines(table)[1].split() == ["uu", "4.00", "1.00", "0.90"]
 
 
 def test_noise_is_made_where_no_file_is_given(scene):

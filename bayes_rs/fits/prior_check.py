@@ -162,14 +162,14 @@ def sensitivity_lines(table: pd.DataFrame) -> list[str]:
     >>> rows = [(0.5, "uu", 2.0, 0.9, 0.9, 0.1, 0.8, "both"), (1.0, "uu", 4.0, 1.0, 1.0, 0.0, 0.9, "both")]
     >>> for line in sensitivity_lines(pd.DataFrame(rows, columns=list(COLUMNS))):
     ...     print(line)
-    stress     prior  posterior    x 0.5  decided  decided by
+    stress     prior  posterior    x 0.5  decided  by
     uu          4.00       1.00     0.90     0.90  both
     """
     columns = (table[name].tolist() for name in ("factor", "stress", "width_ratio"))
     ratio = {(factor, stress): value for factor, stress, value in zip(*columns, strict=True)}
     others = [factor for factor in table["factor"].unique().tolist() if factor != 1.0]
     heads = "".join(f"{f'x {factor:g}':>9}" for factor in others)
-    lines = [f"{'stress':<8}{'prior':>8}{'posterior':>11}{heads}{'decided':>9}  decided by"]
+    lines = [f"{'stress':<8}{'prior':>8}{'posterior':>11}{heads}{'decided':>9}  by"]
     for row in table[table["factor"] == 1.0].to_dict("records"):
         ratios = "".join(f"{ratio[factor, row['stress']]:>9.2f}" for factor in others)
         start = f"{row['stress']:<8}{row['prior_width']:>8.2f}{row['width']:>11.2f}{ratios}"

@@ -108,12 +108,12 @@ def describe(
     for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
         lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
-    lines.append(
-        "least squares, no prior (median record; – if no beams tell it), m² s⁻²: "
-        f"{_of_stresses(middle['least_squares'], '.3g')}"
-    )
+    plain = _of_stresses(middle["least_squares"], ".3g")
+    lines.append(f"least squares, no prior (median record; –: the beams do not tell it), m² s⁻²: {plain}")
     lines.append(f"stresses learnt from the data (median record): {np.nanmedian(learnt):.1f} of 6")
-    lines.append(f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'] + 0.0, '.2f')}")
+    lines.append(
+        f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'].round(2) + 0.0, '.2f')}"
+    )
     return lines
 
 

@@ -622,30 +622,41 @@
     const holder = document.getElementById("chosen-table");
     if (!holder) return;
     const numbers = numbersOf(chosen);
-    const table = document.createElement("table");
-    const head = document.createElement("thead");
-    const heading = document.createElement("tr");
-    ["stress", "median", `${percent} from`, "to", "mean", "sd", ...(records.decided ? ["decided by the data", "least squares", "its error"] : []), ...data.stresses.slice(1).map((name) => `corr. ${name}`)].forEach((words, k) =>
-      heading.append(cell("th", words, { scope: "col", ...(k ? { class: "n" } : {}) })));
-    head.append(heading);
-    const body = document.createElement("tbody");
-    data.stresses.forEach((name, row) => {
-      const line = document.createElement("tr");
-      line.append(cell("th", name, { scope: "row" }));
-      [numbers.median, numbers.low, numbers.high, numbers.mean, numbers.sd].forEach((column) => line.append(cell("td", written(column[row]), { class: "n" })));
-      if (records.decided) {
-        const share = records.decided[6 * chosen + row];
-        line.append(cell("td", share === -128 ? "–" : fixed(share / 100), { class: "n" }));
-        for (const offset of [0, 6]) line.append(cell("td", written(unpacked(records.beside, chosen, 6, offset)[row]), { class: "n" }));
-      }
-      for (let column = 1; column < 6; column += 1) line.append(cell("td", row < column ? fixed(correlationOf(row, column)) : "", { class: "n" }));
-      body.append(line);
-    });
-    table.append(cell("caption", `Posterior of ${nameOf(chosen)}, ${unit}${records.decided ? ", what the data decided of it, least squares," : ","} and correlations between the stresses`), head, body);
-    const box = document.createElement("div");
-    for (const [name, value] of [["class", "scroll"], ["tabindex", "0"], ["role", "region"], ["aria-label", "Posterior of the chosen record"]]) box.setAttribute(name, value);
-    box.append(table);
-    holder.replaceChildren(box);
+    const tableOf = (caption, names, rowOf) => {
+      const table = document.createElement("table");
+      const head = document.createElement("thead");
+      const heading = document.createElement("tr");
+      ["stress", ...names].forEach((words, k) => heading.append(cell("th", words, { scope: "col", ...(k ? { class: "n" } : {}) })));
+      head.append(heading);
+      const body = document.createElement("tbody");
+      data.stresses.forEach((name, row) => {
+        const line = document.createElement("tr");
+        line.append(cell("th", name, { scope: "row" }), ...rowOf(row).map((words) => cell("td", words, { class: "n" })));
+        body.append(line);
+      });
+      table.append(cell("caption", caption), head, body);
+      const box = document.createElement("div");
+      for (const [name, value] of [["class", "scroll"], ["tabindex", "0"], ["role", "region"], ["aria-label", caption]]) box.setAttribute(name, value);
+      box.append(table);
+      return box;
+    };
+    const tables = [tableOf(
+      `Posterior of ${nameOf(chosen)}, ${unit}, and correlations between the stresses`,
+      ["median", `${percent} from`, "to", "mean", "sd", ...data.stresses.slice(1).map((name) => `corr. ${name}`)],
+      (row) => [
+        ...[numbers.median, numbers.low, numbers.high, numbers.mean, numbers.sd].map((column) => written(column[row])),
+        ...[1, 2, 3, 4, 5].map((column) => (row < column ? fixed(correlationOf(row, column)) : "")),
+      ],
+    )];
+    if (records.decided) {
+      const share = (row) => records.decided[6 * chosen + row];
+      tables.push(tableOf(
+        `What the data decided of ${nameOf(chosen)} (1: the data's, 0: the prior's), and least squares on the same variances, ${unit}`,
+        ["decided", "least squares", "its standard error"],
+        (row) => [share(row) === -128 ? "–" : fixed(share(row) / 100), ...[0, 6].map((offset) => written(unpacked(records.beside, chosen, 6, offset)[row]))],
+      ));
+    }
+    holder.replaceChildren(...tables);
   };
 
   // ---- Lumley triangle
