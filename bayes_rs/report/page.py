@@ -159,11 +159,7 @@ def _key_numbers(found: ReportData, scan: str) -> str:
         ("Failed", f"{failed} ({without} without a usable beam)" if without else f"{failed}"),
         ("Other flags", f"{remarked}"),
         *([("Outside the noise's reach", f"{outside}")] if outside else []),
-        *(
-            [("Not believed", f"{len(doubts)}, in the report of reading")]
-            if (doubts := found.run.get("doubts"))
-            else []
-        ),
+        *([("Not believed", f"{doubts}, in the report of reading")] if doubts else []),
         ("Scan", scan),
     ]
     if found.target:
