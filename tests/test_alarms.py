@@ -114,7 +114,8 @@ def variance_case(n_record: int = 5, scan_name: str = "6-beam"):
     scan = brs.load_scan(scan_name)
     gain = np.broadcast_to(design_matrix(scan.beam_direction), (n_record, scan.n_beam, 6))
     near = np.exp(-np.linalg.norm(scan.beam_direction[:, None] - scan.beam_direction, axis=-1) / 0.5)
-    covariance = np.broadcast_to(np.log1p(0.05 * near), (n_record, scan.n_beam, scan.n_beam))
+    size = np.linspace(0.1, 0.5, scan.n_beam)  # different for each beam: what all share is the flow's
+    covariance = np.broadcast_to(np.log1p(near * size * size[:, None]), (n_record, scan.n_beam, scan.n_beam))
     place = (scan.beam_direction * scan.focus_distance[:, None])[:, 1:]
     return scan, gain, covariance, place
 
@@ -314,9 +315,9 @@ class TestScatter:
         """Normal residuals of so much more variance than the noise says; its interval holds the truth, widened by 2."""
         rng = np.random.default_rng(6)
         patterns = beam_patterns(brs.load_scan("50-beam").beam_direction)
-        noise = 0.02 * np.eye(50) + FLOOR**2 * np.eye(50)
+        noise = 0.002 * np.eye(50) + FLOOR**2 * np.eye(50)
         slope = 0.5 * rng.standard_normal((50, 3))
-        own = factor * 0.02 * np.eye(50)
+        own = factor * 0.002 * np.eye(50)
         residual = rng.multivariate_normal(np.zeros(50), own, 100) + rng.standard_normal((100, 3)) @ slope.T
         each = [np.broadcast_to(one, (100, *one.shape)) for one in (slope, noise)]
         left = residual - residual @ np.linalg.pinv(slope).T @ slope.T
