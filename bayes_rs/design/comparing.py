@@ -271,7 +271,7 @@ def enough_beams(table: pd.DataFrame, *, within: float = ENOUGH) -> pd.DataFrame
     --------
     >>> table = compare("6-beam@n_beams=4/6/20", n_records=16, estimators=())
     >>> enough_beams(table).query("stress == 'uu'")[["enough", "most"]].values.tolist()
-    [[4, 20]]
+    [[6, 20]]
     """
     check_positive(within, what="within", unit="")
     keys = [*(name for name in DESIGN if name != "n_beam"), "turbulence", "prior", "data", "stress"]
