@@ -4,12 +4,14 @@ The data are those of the IEA Wind Task 32 round robin on turbulence from nacell
 they are not part of the project: python benchmarks/field_day.py FOLDER OUTPUT, with the folder that holds
 Lidar_*_LOS2_178m.csv, Lidar_*_LOS3_178m.csv and ReferencePulsed.csv.
 
-Nothing is tuned to the masts: the turbulence of the noise is the preset fu-2022, the prior is the default one.
+Nothing is tuned to the masts: all is default, as `bayes-rs fit` does it, with the length scale, the scatter and the
+campaign of the records themselves.
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,13 +23,14 @@ from bayes_rs.geometry.probe import PulsedProbe
 from bayes_rs.noise.probe_words import probe_loss
 
 MASTS = {"south mast": "TI_South", "north mast": "TI_North", "mean of both masts": "both"}
+SPECTRA = "30 m, noise by the spectra"
 PROBES = {"30 m": "pulsed-4-beam", "none": "pulsed-4-beam@probe=point"}
 BEAMS = {2: "South", 3: "North"}
 """The mast near the point of each beam."""
 
 GATES = (15.0, 20.0, 30.0)
 LENGTH_SCALES = (30.0, 61.0, 100.0)
-INSTRUMENT_NOISE = (0.03, 0.05)
+NOISES = (0.03, 0.05)
 """m² s⁻²; the floor of the beams' spectra is 0.05 (docs/spectra.md)."""
 
 
@@ -40,29 +43,45 @@ def read(folder: Path) -> tuple[xr.Dataset, pd.DataFrame]:
     return brs.make_records(series, scan), reference
 
 
-def intensity(
+def fitted(
     records: xr.Dataset,
-    reference: pd.DataFrame,
     scan: brs.Scan,
     *,
     length_scale: float | None = None,
     instrument_noise: float | str = 0.0,
-) -> pd.DataFrame:
-    """Return σ_u/U of every record that is fitted beside the masts."""
-    flow = brs.load_turbulence("fu-2022")
-    if length_scale is not None and length_scale != flow.length_scale:
-        flow = replace(flow, length_scale=length_scale, name=f"fu-2022, L = {length_scale:g} m")
-    records = records.assign_attrs(scan=scan.name, scan_key=scan.key)
-    own = [float(end(records["length_scale"])) for end in (np.min, np.max)] if "length_scale" in records else None
-    noise = brs.noise.calibrate(scan, flow, records=records, length_scale=own)
-    words = noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values))
-    print(words)
-    table = brs.fit(records, scan, noise=noise, seed=1, instrument_noise=instrument_noise).summary(derived=["ti"])
-    return table[table["stress"] == "ti"].dropna(subset="mean").merge(reference, left_on="time", right_on="Timestamp")
+    campaign: str = "off",
+) -> brs.Fit:
+    """Return the fit of the day; with noise of a length scale, if one is given, in place of the records' own."""
+    records, noise = records.assign_attrs(scan=scan.name, scan_key=scan.key), None
+    if length_scale is not None:
+        flow = replace(brs.load_turbulence("fu-2022"), length_scale=length_scale, name=f"L = {length_scale:g} m")
+        noise = brs.noise.calibrate(scan, flow, records=records)
+    return brs.fit(
+        records,
+        scan,
+        noise=noise,
+        seed=1,
+        instrument_noise=instrument_noise,
+        campaign=campaign,
+        derived=["ti"],
+        say=print,
+    )
+
+
+def beside_masts(summary: pd.DataFrame, records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
+    """Return σ_u/U of every record that has a posterior beside the masts."""
+    table = summary[summary["stress"] == "ti"].dropna(subset="mean")
+    table = table.assign(wind_speed=records["wind_speed"].values[table["record"]])
+    return table.merge(reference, left_on="time", right_on="Timestamp")
+
+
+def intensity(records: xr.Dataset, reference: pd.DataFrame, scan: brs.Scan, **options: Any) -> pd.DataFrame:
+    """Return σ_u/U of every record that is fitted beside the masts; options are those of `fitted`."""
+    return beside_masts(fitted(records, scan, **options).summary(), records, reference)
 
 
 def scores(merged: pd.DataFrame, column: str) -> dict[str, float]:
-    """Return bias, RMSE and coverage of σ_u/U against one reference."""
+    """Return bias, RMSE, coverage and width of σ_u/U against one reference."""
     relative = merged["mean"] / merged[column] - 1.0
     inside = (merged["low"] <= merged[column]) & (merged[column] <= merged["high"])
     return {
@@ -72,19 +91,75 @@ def scores(merged: pd.DataFrame, column: str) -> dict[str, float]:
         "relative RMSE": np.sqrt((relative**2).mean()),
         "correlation": np.corrcoef(merged["mean"], merged[column])[0, 1],
         "share of 90 % intervals that hold it": inside.mean(),
+        "median width over mean": ((merged["high"] - merged["low"]) / merged["mean"]).median(),
     }
 
 
-def compare(records: xr.Dataset, reference: pd.DataFrame) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
-    """Return σ_u/U of every record with and without the probe, and the table of bias, RMSE and coverage."""
-    merged = {probe: intensity(records, reference, brs.load_scan(name)) for probe, name in PROBES.items()}
+def fits_of(records: xr.Dataset, campaign: str = "auto") -> dict[str, brs.Fit]:
+    """Fit the day with and without the probe, all else by default."""
+    return {probe: fitted(records, brs.load_scan(name), campaign=campaign) for probe, name in PROBES.items()}
+
+
+def compare(
+    fits: dict[str, brs.Fit], records: xr.Dataset, reference: pd.DataFrame
+) -> tuple[dict[tuple[str, str], pd.DataFrame], pd.DataFrame]:
+    """Return σ_u/U of every record by probe and prior, and the table of bias, RMSE and coverage."""
+    merged = {}
+    for probe, fit in fits.items():
+        merged[probe, "weak"] = beside_masts(fit.summary(), records, reference)
+        if fit.has_campaign:
+            merged[probe, "campaign"] = beside_masts(fit.summary(campaign=True), records, reference)
     lines = [
-        {"probe": probe, "reference": name, "records": f"{what} ({len(part)})", **scores(part, column)}
-        for probe, rows in merged.items()
+        {"probe": probe, "prior": prior, "reference": name, "records": f"{what} ({len(part)})", **scores(part, column)}
+        for (probe, prior), rows in merged.items()
         for name, column in MASTS.items()
-        for what, part in (("all records", rows), ("both beams used", rows[rows["flag"] == ""]))
+        for what, part in (
+            ("all records", rows),
+            ("both beams used", rows[~rows["flag"].str.contains("beam_left_out")]),
+        )
     ]
     return merged, pd.DataFrame(lines)
+
+
+def campaign_beside_masts(fits: dict[str, brs.Fit], merged: dict[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:
+    """Return the campaign's intensity, in all and by wind speed, beside that of the masts in the same records."""
+    lines = []
+    for probe, fit in fits.items():
+        rows = merged[probe, "weak"]
+        steady = rows[~rows["flag"].str.contains("unsteady")]
+        table = fit.campaign()
+        for line in table[table["quantity"].isin(("ti", "ti_p90"))].itertuples():
+            part = steady
+            if line.bin != "all":
+                low, high = (float(end) for end in line.bin.removesuffix(" m/s").split("-"))
+                part = steady[steady["wind_speed"].between(low, high, inclusive="left")]
+            masts, of = part[list(MASTS.values())], np.mean if line.quantity == "ti" else lambda x: np.quantile(x, 0.9)
+            lines.append(
+                {
+                    "probe": probe,
+                    "quantity": line.quantity,
+                    "bin": line.bin,
+                    "records": line.n_record,
+                    "of the masts": len(part),
+                    "campaign": line.mean,
+                    "low": line.low,
+                    "high": line.high,
+                    "of the records' means": of(part["mean"]),
+                    "masts": of(masts["both"]),
+                    "south": of(masts["TI_South"]),
+                    "north": of(masts["TI_North"]),
+                    "decided": line.decided,
+                }
+            )
+    return pd.DataFrame(lines)
+
+
+def unsteady(fit: brs.Fit) -> pd.DataFrame:
+    """Return the records that are flagged as unsteady, and what their change adds."""
+    records = fit.records
+    names = ["wind_speed", "wind_change", "cross_wind_change", "change_uu", "change_vv", "unsteady_p_value"]
+    found = records[[*names, "unsteady", "length_scale"]].to_dataframe().reset_index()
+    return found[found["unsteady"] > 0]
 
 
 def along_beams(records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
@@ -136,47 +211,53 @@ def as_the_spectra_say(folder: Path, records: xr.Dataset) -> xr.Dataset:
     return brs.spectra.with_instrument_noise(brs.spectra.with_length_scale(records, fitted), estimate)
 
 
-def assumptions(folder: Path, records: xr.Dataset, reference: pd.DataFrame) -> pd.DataFrame:
-    """Return bias, RMSE and coverage against the mean of both masts for other assumptions."""
+def assumptions(folder: Path, records: xr.Dataset, reference: pd.DataFrame, only: str = "") -> pd.DataFrame:
+    """Return bias, RMSE and coverage against the mean of both masts for other assumptions, those named so."""
     base, points = brs.load_scan("pulsed-4-beam"), brs.load_scan("pulsed-4-beam@probe=point")
     ahead = records.assign(yaw=xr.zeros_like(records["yaw"]))
-    cases: dict[str, tuple[xr.Dataset, brs.Scan, float | None]] = {
-        f"probe of {gate:g} m": (records, replace(base, probe=PulsedProbe(gate_length=gate)), None) for gate in GATES
-    }
-    for length_scale in (30.0, 100.0):
-        cases[f"probe of 30 m, L = {length_scale:g} m"] = (records, base, length_scale)
-        cases[f"no probe, L = {length_scale:g} m"] = (records, points, length_scale)
-    cases["no probe"] = (records, points, None)
-    cases["probe of 30 m, wind along the axis"] = (ahead, base, None)
-    cases["no probe, wind along the axis"] = (ahead, points, None)
-    cases["the masts' variances along the beams"] = (as_the_masts_see(records, reference), points, None)
-    rows = {
-        case: intensity(made, reference, scan, length_scale=length_scale)
-        for case, (made, scan, length_scale) in cases.items()
-    }
-    for noise in INSTRUMENT_NOISE:
-        case = f"probe of 30 m, instrument's noise of {noise:g} m² s⁻²"
-        rows[case] = intensity(records, reference, base, instrument_noise=noise)
+    gates = {gate: replace(base, probe=PulsedProbe(gate_length=gate)) for gate in GATES}
+    masts = as_the_masts_see(records, reference)
     own = as_the_spectra_say(folder, records)
-    for option in ("records", 0.0):
-        case = "probe of 30 m, each record's own L" + (" and the noise, by the spectra" if option else "")
-        rows[case] = intensity(own, reference, base, instrument_noise=option)
-    return pd.DataFrame({"case": case, **scores(merged, "both")} for case, merged in rows.items())
+    spectra = "probe of 30 m, each record's own L"
+    cases: dict[str, tuple[xr.Dataset, brs.Scan, dict[str, Any]]] = {
+        **{f"probe of {gate:g} m": (records, scan, {}) for gate, scan in gates.items()},
+        **{f"probe of 30 m, L = {size:g} m": (records, base, {"length_scale": size}) for size in LENGTH_SCALES},
+        **{
+            f"probe of 30 m, noise of {noise:g} m² s⁻²": (records, base, {"instrument_noise": noise})
+            for noise in NOISES
+        },
+        f"{spectra} and the noise, by the spectra": (own, base, {"instrument_noise": "records"}),
+        f"{spectra}, by the spectra": (own, base, {}),
+        "no probe": (records, points, {}),
+        **{f"no probe, L = {size:g} m": (records, points, {"length_scale": size}) for size in LENGTH_SCALES},
+        "probe of 30 m, wind along the axis": (ahead, base, {}),
+        "no probe, wind along the axis": (ahead, points, {}),
+        "the masts' variances along the beams, no probe, L = 61 m": (masts, points, {"length_scale": 61.0}),
+    }
+    rows = {
+        case: intensity(made, reference, scan, **options)
+        for case, (made, scan, options) in cases.items()
+        if only in case
+    }
+    return pd.DataFrame(
+        {"case": case, "records": len(merged), **scores(merged, "both")} for case, merged in rows.items()
+    )
 
 
-def draw(merged: dict[str, pd.DataFrame]) -> Figure:
-    """Draw σ_u/U over the day with its credible band, and against the masts, with and without the probe."""
-    probed, points = merged["30 m"], merged["none"]
-    figure = Figure(figsize=(13.0, 5.0), layout="constrained")
-    over, against = figure.subplots(1, 2, width_ratios=[2.2, 1.0])
+def draw(merged: dict[tuple[str, str], pd.DataFrame], campaign: pd.DataFrame) -> Figure:
+    """Draw σ_u/U over the day with its credible band, against the masts, and the campaign's by wind speed."""
+    probed, points, learnt = merged["30 m", "weak"], merged["none", "weak"], merged["30 m", "campaign"]
+    figure = Figure(figsize=(15.0, 4.8), layout="constrained")
+    over, against, bins = figure.subplots(1, 3, width_ratios=[2.2, 1.0, 1.0])
     over.fill_between(probed["time"], probed["low"], probed["high"], alpha=0.25, label="lidar, 90 % interval")
     over.plot(probed["time"], probed["mean"], linewidth=1.3, label="lidar, posterior mean")
     over.plot(points["time"], points["mean"], color="0.35", linewidth=0.8, linestyle="--", label="the same, no probe")
     over.plot(probed["time"], probed["TI_South"], ".", color="#c26a16", markersize=4, label="south mast")
     over.plot(probed["time"], probed["TI_North"], ".", color="#1b7837", markersize=4, label="north mast")
-    flagged = probed[probed["flag"] != ""]
-    over.plot(flagged["time"], np.zeros(len(flagged)), "|", color="0.3", label="one beam only")
-    over.set_ylim(0.0, 0.65)
+    for flag, marker, words in (("beam_left_out", "|", "one beam only"), ("unsteady", "v", "unsteady")):
+        rows = probed[probed["flag"].str.contains(flag)]
+        over.plot(rows["time"], np.full(len(rows), 0.01), marker, color="0.3", markersize=6, label=words)
+    over.set_ylim(0.0, 0.75)
     over.set_ylabel("turbulence intensity σ_u/U")
     over.set_xlabel("start of the record (UTC), 2020-09-03 and 04")
     over.legend(loc="upper right", fontsize=9, ncols=2)
@@ -189,15 +270,36 @@ def draw(merged: dict[str, pd.DataFrame]) -> Figure:
         fmt="o",
         markersize=3,
         linewidth=0.5,
-        alpha=0.6,
-        label="probe of 30 m",
+        alpha=0.5,
+        label="prior weak, 90 % interval",
     )
-    against.plot(points["both"], points["mean"], "+", color="0.35", markersize=5, label="no probe")
+    against.plot(learnt["both"], learnt["mean"], "+", color="#c26a16", markersize=5, label="under the campaign")
     ends = [0.05, 0.5]
     against.plot(ends, ends, color="0.3", linewidth=1.0)
     against.set_xlabel("mean of both masts")
-    against.set_ylabel("lidar: posterior mean and 90 % interval")
+    against.set_ylabel("lidar, probe of 30 m")
     against.legend(loc="upper left", fontsize=9)
+    rows = campaign[(campaign["quantity"] == "ti") & (campaign["bin"] != "all")]
+    for probe, shift, colour in (("30 m", -0.12, "#1f77b4"), (SPECTRA, 0.0, "#7b3294"), ("none", 0.12, "0.35")):
+        part = rows[rows["probe"] == probe]
+        speed = part["bin"].str.split("-").str[0].astype(float) + 0.5
+        error = [part["campaign"] - part["low"], part["high"] - part["campaign"]]
+        words = f"campaign, probe {probe}"
+        bins.errorbar(speed + shift, part["campaign"], yerr=error, fmt="o", markersize=4, color=colour, label=words)
+    for name, marker, colour in (("masts", "_", "k"), ("south", ".", "#c26a16"), ("north", ".", "#1b7837")):
+        words = "mean of both masts" if name == "masts" else f"{name} mast"
+        bins.plot(
+            speed,
+            rows.loc[rows["probe"] == "30 m", name],
+            marker,
+            color=colour,
+            markersize=9 if marker == "_" else 5,
+            label=words,
+        )
+    bins.set_ylim(0.1, 0.29)
+    bins.set_xlabel("wind speed, bins of 1 m/s")
+    bins.set_ylabel("mean turbulence intensity of the steady records")
+    bins.legend(loc="upper left", fontsize=8)
     return figure
 
 
@@ -209,10 +311,22 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     records, reference = read(arguments.folder)
-    merged, table = compare(records, reference)
-    draw(merged).savefig(arguments.output / "field-day.png", dpi=90)
+    fits = fits_of(records)
+    own = as_the_spectra_say(arguments.folder, records)
+    scan = brs.load_scan("pulsed-4-beam")
+    fits[SPECTRA] = fitted(own, scan, instrument_noise="records", campaign="auto")
+    for probe, fit in fits.items():
+        print(f"probe {probe}", *fit.words, *fit.remarks, sep="\n")
+        print({flag: number for flag, number in fit.flags.items() if number})
+        print("length scales, 5, 50 and 95 %:", fit.records["length_scale"].quantile([0.05, 0.5, 0.95]).values)
+        print(fit.summary().groupby("stress", sort=False)["decided"].median().round(2).to_dict(), end="\n\n")
+    merged, table = compare(fits, records, reference)
+    campaign = campaign_beside_masts(fits, merged)
+    draw(merged, campaign).savefig(arguments.output / "field-day.png", dpi=90)
     tables = {
         "field-day": table,
+        "field-day-campaign": campaign,
+        "field-day-unsteady": unsteady(fits["30 m"]),
         "field-day-beams": along_beams(records, reference),
         "field-day-assumptions": assumptions(arguments.folder, records, reference),
     }

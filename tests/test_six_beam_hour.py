@@ -40,7 +40,7 @@ def rows():
 
 
 def test_the_plain_inversions_are_realizable_or_not_as_the_page_says(benchmark, six_beam_hour, rows):
-    shown = {float(row[0]): row for row in rows if len(row) == 5}
+    shown = {float(row[0]): row for row in rows if len(row) == 6}
     assert sorted(shown) == sorted(benchmark.HEIGHTS)
     total = 0
     for height, row in shown.items():
@@ -56,16 +56,17 @@ def test_the_plain_inversions_are_realizable_or_not_as_the_page_says(benchmark, 
     assert total == 21
 
 
-def test_every_record_has_a_realizable_posterior_and_no_flag(table):
+def test_every_record_has_a_realizable_posterior_and_a_length_scale_of_its_own(table):
     assert len(table) == (6 + 1) * (6 + 1 + 6)  # records and the hour; stresses, energy, stresses in the lidar's frame
     assert table[["mean", "low", "high"]].notna().all(axis=None)
     assert (table["flag"] == "").all()
+    assert table["length_scale"].between(100.0, 500.0).all()  # few eddies in a record, as the page says
     assert (table.loc[table["stress"].isin(list(NAMES)), "low"] > 0.0).all()
 
 
 def test_the_table_in_the_docs_is_the_one_that_comes_out(benchmark, table, rows):
     found = benchmark.hour_and_records(table).set_index("stress")
-    shown = {row[1]: row for row in rows if len(row) == 6 and row[0] == "100"}
+    shown = {row[1]: row[:2] + row[3:] for row in rows if len(row) == 7 and row[0] == "100" and row[2] == "after"}
     assert sorted(shown) == sorted(NAMES.values())
     for stress, name in NAMES.items():
         low, high = shown[name][5].split(" to ")
@@ -81,7 +82,7 @@ def test_the_table_in_the_docs_is_the_one_that_comes_out(benchmark, table, rows)
 
 def test_the_counts_of_the_page(benchmark, table, rows):
     one = benchmark.counts(table).iloc[0]
-    row = next(row for row in rows if len(row) == 5 and row[0] == "100")
+    row = next(row for row in rows if len(row) == 6 and row[0] == "100")
     assert int(row[4]) == pytest.approx(
         one["plain outside the 90 % interval, of 36"], abs=1
     )  # one at an interval's end
