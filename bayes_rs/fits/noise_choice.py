@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -95,7 +96,8 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr
     """Return records with the length scale of their spectra, of which those of unsteady records tell nothing.
 
     A front is slow, and seems to be an eddy that is longer than all others. Records that change too clearly for the
-    length scale that all of them tell are left out, and again for what the others tell, until no more are found.
+    length scales of the campaign are left out, and again for what the others tell, until no more are found. Their own
+    length scale is no measure: the change is in it.
     """
     from bayes_rs.spectra.record_lengths import with_own_length_scale  # noqa: PLC0415 - not needed with given noise
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
@@ -103,7 +105,13 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr
     usual = load_turbulence("fu-2022")
 
     def unsteady(found: xr.Dataset) -> BoolArray:
-        return unsteady_records(found, scan, usual, min(level, LEAVE_OUT_LEVEL))
+        campaign = json.loads(found.attrs[LENGTH_REPORT])
+        speed = np.asarray(found["wind_speed"].values, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = campaign["length_scale"] * (speed / campaign["wind_speed"]) ** campaign["slope"]
+        log_sd = np.full(len(speed), np.hypot(campaign["spread"], campaign["log_sd"]))
+        like_others = found.assign(length_scale=("record", own), length_scale_log_sd=("record", log_sd))
+        return unsteady_records(like_others, scan, usual, min(level, LEAVE_OUT_LEVEL))
 
     return with_own_length_scale(records, scan, unsteady=unsteady if level > 0.0 else None)
 

@@ -17,10 +17,14 @@ from bayes_rs.fits.block_states import BlockStates
 _N_NULL = 8000
 _SEED = 11
 _RAMPS = (40, 8, 4)  # ramps last a record over so many, but at least a part
-_PLACES = 64  # fronts are a record over so many apart, but at least half a part; and long ramps an eighth of their length
+_PLACES = (
+    64  # fronts are a record over so many apart, but at least half a part; and long ramps an eighth of their length
+)
 _EDGE = 1.0  # parts that the middle of a front is away from either end at least
 _USUAL = 0.01  # share of steady air that explains more by a shape than what families are compared at
-_SMOOTH = 0.002  # share of a part's variance that is taken to be noise of its own, beside theory's: instruments, aliases
+_SMOOTH = (
+    0.002  # share of a part's variance that is taken to be noise of its own, beside theory's; more hides fast eddies
+)
 
 
 class _Test(NamedTuple):

@@ -57,8 +57,8 @@ def with_own_length_scale(
     gamma : float
         Anisotropy parameter Γ.
     unsteady : callable, optional
-        Takes records with length scales, and returns which of them, shape (n_record,), change by more than eddies. Their
-        spectra tell nothing, and the length scales are found anew, until no more records are found.
+        Takes records with length scales, and returns which of them, shape (n_record,), change by more than eddies.
+        Their spectra tell nothing, and the length scales are found anew, until no more records are found.
 
     Returns
     -------
