@@ -198,7 +198,7 @@ class TestPower:
         scan, series, flow = air
         changed = self.with_fronts(series, scan, np.ones(250, dtype=bool))
         clear = found_in(changed, scan, theory_noise(scan, flow, wind_speed=10.0)).clear(0.02).any(axis=1)
-        assert clear.mean() > 0.8
+        assert clear.mean() > 0.86  # 0.82 with parts of 19 s
 
     def test_fronts_do_not_make_eddies_long(self, air):
         """In a campaign of which a fifth has fronts, as a default fit sees it."""
