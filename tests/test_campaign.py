@@ -23,6 +23,7 @@ from bayes_rs.campaign.hyperprior import (
 )
 from bayes_rs.campaign.learning import hyper_values, learnt_prior
 from bayes_rs.campaign.record_choice import choose_records
+from bayes_rs.campaign.record_moves import unseen_directions
 from bayes_rs.campaign.sampling import _Run, can_learn, sample_campaign
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan_file import load_scan
@@ -218,9 +219,10 @@ class TestSmallMatrices:
 
 
 def run_of(posterior, speed, group, n_chain, n_sweep, seed):
-    """Chains after burn-in, with draws kept."""
+    """Chains after burn-in, with draws kept; nothing is released, so that the other moves have to be right."""
     given = make_cells(speed, group)
     run = _Run(posterior.take(given.order()), posterior.prior, given.in_order(), np.random.default_rng(seed), n_chain)
+    run.unseen, run.level = np.empty((6, 0)), np.empty((n_chain, 0))
     run.burn_in()
     run.advance(n_sweep)
     return run
@@ -353,6 +355,52 @@ class TestSampleCampaign:
             sample_campaign(silent(3), np.array([1.0, np.nan, 2.0]), seed=1)
         with pytest.raises(InputError, match=r"Invalid group of 2 entries"):
             sample_campaign(silent(3), np.ones(3), group=["a", "b"], seed=1)
+
+
+class TestUnseen:
+    """Covariances of nearly 0 and alike variances of v and w must not tell how large these are: no beam does."""
+
+    @staticmethod
+    def cone():
+        """Records of isotropic air, from six beams on one cone."""
+        rng = np.random.default_rng(16)
+        stress = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * np.exp(0.1 * rng.standard_normal((24, 1)))
+        posterior = beams(15.0, stress, 0.02, 17)
+        cone_only = posterior.likelihood.gain[:, :5]
+        variance = np.einsum("rbk,rk->rb", cone_only, stress) * np.exp(0.02 * rng.standard_normal((24, 5)))
+        used = np.ones(variance.shape, dtype=bool)
+        covariance = np.broadcast_to(0.02**2 * np.eye(5), (24, 5, 5))
+        return Posterior(log_normal_likelihood(variance, used, cone_only, covariance), WeakPrior())
+
+    def test_one_direction_is_unseen(self):
+        posterior = self.cone()
+        at = WeakPrior().coordinate(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
+        unseen = unseen_directions(posterior, at)
+        assert unseen.shape == (6, 1)
+        # along it, the variances of all beams stay the same
+        stress = WeakPrior().stress(at + 1e-5 * np.array([[-1.0], [1.0]]) * unseen[:, 0])
+        change = posterior.likelihood.gain[0] @ (stress[1] - stress[0])
+        np.testing.assert_allclose(change, 0.0, atol=1e-9)
+        assert np.abs(stress[1] - stress[0]).max() > 1e-6
+
+    @pytest.mark.slow
+    def test_its_mean_keeps_the_width_of_the_prior(self, monkeypatch):
+        speed = np.full(24, 8.0)
+
+        def held():
+            """Return whether the interval of ww/uu holds the truth, and the sd of the mean along what is unseen."""
+            found = sample_campaign(self.cone(), speed, seed=18, most_sweeps=500, n_chain=20)
+            row = found.hyper.set_index("name").loc["mean ln(ww/uu)"]
+            z = WeakPrior().coordinate(found.stress).mean(axis=2).reshape(-1, 6)
+            return row["low"] < 0.0 < row["high"], float(np.std(z @ direction))
+
+        at = WeakPrior().coordinate(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
+        direction = unseen_directions(self.cone(), at)[:, 0]
+        inside, spread = held()
+        assert inside
+        assert spread > 0.6  # of records and mean together it is 1; the scatter of 24 records averages out
+        monkeypatch.setattr("bayes_rs.campaign.record_moves._UNSEEN", -1.0)
+        assert held()[1] < spread
 
 
 class TestChoice:

@@ -21,6 +21,8 @@ _STEP = 1e-4
 """Central difference step of the coordinates; it only shapes proposals."""
 _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
+_UNSEEN = 1.0
+"""Precision, of the prior's, up to which a direction is unseen: all records together say less than the prior does."""
 _KINDS = ("shift", "scale", "row", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
@@ -58,6 +60,23 @@ def expand(posterior: Posterior, at: FloatArray) -> Expansion:
     precision = jacobian @ jacobian.swapaxes(-1, -2)
     linear = gradient + (precision @ at.T[..., None])[..., 0]
     return Expansion(np.ascontiguousarray(np.moveaxis(precision, 0, -1)), np.ascontiguousarray(linear.T))
+
+
+def unseen_directions(posterior: Posterior, at: FloatArray) -> FloatArray:
+    """Return the directions of the coordinates that all records together do not see, orthonormal, shape (6, n_unseen).
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Posterior of the records.
+    at : ndarray, shape (n,)
+        The coordinates, one point for all records: where a scan does not see a combination of the stresses, the
+        likelihoods of all have no slope in the same direction there. Wind from changing directions may show it.
+    """
+    point = np.repeat(at[:, None], posterior.n_record, axis=1)
+    told = expand(posterior, point).precision[:N_COORDINATE, :N_COORDINATE].sum(axis=-1)
+    strength, direction = np.linalg.eigh(told)
+    return np.asarray(direction[:, strength < _UNSEEN])
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +265,39 @@ class RecordMoves:
         score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
         log_ratio = 0.5 * np.sum(hyper.score**2 - score**2, axis=1)
         return self._carry("shift", axis, state, frame, hyper.with_score(score), log_ratio, adapt=adapt)
+
+    def release(self, state: State, frame: Frame, directions: FloatArray, level: FloatArray) -> tuple[State, Frame]:
+        """Put the mean of all cells, along directions (6, k), to levels (n_chain, k) of its prior there.
+
+        No likelihood decides: what the hyperparameters of other directions say of these is cut off. The records are
+        taken along as by the other moves.
+        """
+        hyper, cells = state.hyper, self.cells
+        n_chain = len(hyper)
+        free = np.eye(N_COORDINATE) - hyper.scatter
+        root = np.linalg.cholesky(directions.T @ free @ directions)
+        share = cells.count / cells.count.sum()
+        mean = np.einsum("ncj,c->nj", hyper.means(cells), share)
+        missing = (root @ level[..., None])[..., 0] - mean @ directions
+        change = np.linalg.solve(mean_root(hyper.scatter), (missing @ directions.T)[..., None])[..., 0]
+        change[:, -1] /= np.sqrt(1.0 - hyper.speed_share)
+        alike = np.ones((n_chain, cells.n_group, 1))
+        between = np.linalg.solve(group_root(hyper.group_share, cells.n_group), alike)[..., 0]
+        score = hyper.score.copy()
+        score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
+        moved = hyper.with_score(score)
+        new_frame = self.frame(moved)
+        trial = new_frame.place(frame.score(state.coordinate))
+        height = self.log_likelihood(trial)
+        where = np.isfinite(height).all(axis=1)
+        return (
+            State(
+                hyper.where(where, moved),
+                np.where(where[:, None], trial, state.coordinate),
+                np.where(where[:, None], height, state.height),
+            ),
+            frame.where(where, new_frame),
+        )
 
     def stretch(self, state: State, frame: Frame, kind: str, axis: int, *, adapt: bool) -> tuple[State, Frame]:
         """Change Σ: its spread along an axis, what the axis has in common with others, or the spread of a coordinate.

@@ -12,7 +12,7 @@ from bayes_rs.campaign.cells import Cells, make_cells
 from bayes_rs.campaign.conjugate import HyperMoves
 from bayes_rs.campaign.hyperprior import Hyper, draw_coordinates, draw_hyper
 from bayes_rs.campaign.learning import hyper_table, hyper_values, learnt_prior
-from bayes_rs.campaign.record_moves import RecordMoves, State, expand
+from bayes_rs.campaign.record_moves import RecordMoves, State, expand, unseen_directions
 from bayes_rs.errors import InputError
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
@@ -36,6 +36,8 @@ _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
 _BURN_IN = (50, 100, 150, 200)
 """Sweeps of the parts of the burn-in; the proposals are shaped anew after each."""
+_MEMORY = 0.95
+"""Correlation of an unseen level of the means from one sweep to the next: slow enough for the records to follow."""
 _BLOCK = 500
 """Sweeps between two looks at the effective sample size."""
 
@@ -145,6 +147,8 @@ class _Run:
         self.hyper_moves = HyperMoves(cells, rng)
         # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes
         hyper = draw_hyper(n_chain, cells, rng)
+        self.unseen = unseen_directions(posterior, mode.mean(axis=1))
+        self.level = rng.standard_normal((n_chain, self.unseen.shape[1]))
         mode = np.repeat(mode[:, None, :], n_chain, axis=1)
         start = mode + 0.1 * rng.standard_normal(mode.shape)
         start = np.where(np.isfinite(self.moves.log_likelihood(start)), start, mode)
@@ -190,6 +194,10 @@ class _Run:
         state, frame = self.moves.shift(state, frame, int(axis[0]), adapt=adapt)
         for kind, where in zip(("scale", "row") if sweep % 2 else ("spread", "scale"), axis[1:], strict=False):
             state, frame = self.moves.stretch(state, frame, kind, int(where), adapt=adapt)
+        if self.unseen.shape[1]:
+            self.level *= _MEMORY
+            self.level += np.sqrt(1.0 - _MEMORY**2) * self.rng.standard_normal(self.level.shape)
+            state, frame = self.moves.release(state, frame, self.unseen, self.level)
         self.state = state
 
     def hyper_draws(self) -> Hyper:
