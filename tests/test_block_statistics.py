@@ -52,7 +52,7 @@ class TestLaws:
         change = 3.0 * (times(scan, 600) / 600.0 - 0.5)
         found = brs.make_records(series_of(scan, scan.level_direction[:, :1] * (10.0 + change)), scan)
         wind = found["part_wind"].values[0]
-        line = 10.0 + 3.0 * ((np.arange(32) + 0.5) / 32 - 0.5)
+        line = 10.0 + 3.0 * ((np.arange(64) + 0.5) / 64 - 0.5)
         np.testing.assert_allclose(wind, line, atol=3.0 / 600.0)  # parts of 18 and 19 samples
 
     @pytest.mark.parametrize(("factor", "shift"), [(3.0, 0.0), (1.0, 50.0), (0.5, -7.0)])
@@ -90,8 +90,8 @@ class TestReference:
             whole, beams = slow_scatter(scan, velocity, time, n_block)
             np.testing.assert_allclose(found["block_scatter"].values[0, column], whole, rtol=1e-9)
             np.testing.assert_allclose(found["block_scatter_of_beams"].values[0, column], beams, rtol=1e-9)
-        part = np.floor(time / 18.75 + 1e-9).astype(int)
-        mean = np.array([[velocity[b, part[b] == j].mean() for j in range(32)] for b in range(scan.n_beam)])
+        part = np.floor(time / 9.375 + 1e-9).astype(int)
+        mean = np.array([[velocity[b, part[b] == j].mean() for j in range(64)] for b in range(scan.n_beam)])
         wind = np.linalg.lstsq(scan.level_direction[:, :2], mean, rcond=None)[0]
         np.testing.assert_allclose(found["part_wind"].values[0], wind[0], rtol=1e-9)
         np.testing.assert_allclose(found["part_wind_across"].values[0], wind[1], rtol=1e-8, atol=1e-9)
@@ -101,7 +101,7 @@ class TestReference:
         velocity = scan.level_direction[:, :1] * line
         velocity[2, 100:130] = np.nan
         found = brs.make_records(series_of(scan, velocity), scan)
-        np.testing.assert_allclose(np.diff(found["part_wind"].values[0]), 1.0 / 32, atol=0.005)
+        np.testing.assert_allclose(np.diff(found["part_wind"].values[0]), 1.0 / 64, atol=0.005)
 
     def test_a_beam_without_samples_is_left_out(self, scan, velocity):
         velocity[3, :300] = np.nan
@@ -115,7 +115,7 @@ class TestReference:
 
 class TestSizes:
     def test_parts_and_blocks_by_the_number_of_samples(self):
-        expected = {"6-beam": (32, (4, 8, 16)), "pulsed-4-beam": (32, (4, 8, 16))}
+        expected = {"6-beam": (64, (4, 8, 16)), "pulsed-4-beam": (64, (4, 8, 16))}
         for name, (parts, blocks) in expected.items():
             scan = brs.load_scan(name)
             assert (n_part(scan, 600.0), blocks_of(scan, 600.0)) == (parts, blocks)

@@ -16,7 +16,7 @@ SIGMAS = 4.0
 
 
 def theory_of(scan, flow=FLOW, **options):
-    given = {"wind_speed": 10.0, "yaw": 0.0, "duration": 600.0, "n_part": 32, "blocks": blocks_of(scan, 600.0)}
+    given = {"wind_speed": 10.0, "yaw": 0.0, "duration": 600.0, "n_part": 64, "blocks": blocks_of(scan, 600.0)}
     return block_theory(scan, flow, **{**given, **options})
 
 
@@ -46,7 +46,7 @@ class TestAgainstSimulation:
         wind = records[name].values - (10.0 if component == 0 else 0.0)
         expected = theory_of(scan).wind[component]
         for apart in (0, 1, 3, 8):
-            products = np.mean(wind[:, apart:] * wind[:, : 32 - apart], axis=1)
+            products = np.mean(wind[:, apart:] * wind[:, : 64 - apart], axis=1)
             error = products.std() / np.sqrt(len(products))
             assert abs(products.mean() - expected[apart]) < SIGMAS * error + 0.01 * expected[0]
 
@@ -66,9 +66,9 @@ class TestLaws:
         np.testing.assert_allclose(other.scatter, one.scatter, rtol=1e-9)
 
     def test_all_parts_together_are_the_record(self, scan):
-        """The mean covariance of all pairs of parts is the variance of the record's mean, with 32 parts or 16."""
+        """The mean covariance of all pairs of parts is the variance of the record's mean, with 64 parts or 16."""
         means = []
-        for number in (32, 16):
+        for number in (64, 16):
             wind = theory_of(scan, n_part=number).wind[0]
             weight = np.r_[number, 2.0 * (number - np.arange(1, number))]
             means.append(weight @ wind / number**2)
@@ -80,7 +80,7 @@ class TestLaws:
 
     def test_a_beam_that_looks_up_sees_no_horizontal_wind(self):
         up = brs.geometry.Scan("up", [[0.0, 0.0, 1.0]], focus_distance=[100.0], beam_time=[0.0], scan_duration=1.0)
-        assert theory_of(up).wind.shape == (0, 32)
+        assert theory_of(up).wind.shape == (0, 64)
 
     @pytest.mark.parametrize("count", [3, 30, 300])
     def test_log_variance_of_equal_eigenvalues_is_that_of_a_chi_square(self, count):

@@ -283,7 +283,7 @@ def differ(one, other):
 def parts_of(scan):
     """Statistics of the parts of two records: both scatter much, and one has a front."""
     rng = np.random.default_rng(7)
-    wind = 10.0 + 0.1 * rng.standard_normal((2, 2, 32))
+    wind = 10.0 + 0.1 * rng.standard_normal((2, 2, 64))
     wind[:, 0, 16:] += 5.0
     return {
         "part_beams": ("record", np.full(2, 2 ** min(scan.n_beam, 8) - 1, dtype=np.int16)),

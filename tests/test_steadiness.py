@@ -1,5 +1,7 @@
 """Fronts and trends: told from eddies at the level that is asked for, and as well as that can be done."""
 
+import json
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -9,7 +11,9 @@ import xarray as xr
 import bayes_rs as brs
 from bayes_rs.fits.block_checks import CHANGES
 from bayes_rs.fits.block_states import block_states
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.flags import FLAGS
+from bayes_rs.fits.noise_choice import noise_and_records
 from bayes_rs.fits.steadiness import (
     STEADY,
     TESTS,
@@ -22,9 +26,10 @@ from bayes_rs.fits.steadiness import (
     whitening_of,
 )
 from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.spectra.record_lengths import REPORT, with_own_length_scale
 from bayes_rs.turbulence.mann import MannTurbulence
 
-N_PART = 32
+N_PART = 64
 COVARIANCE = np.exp(-np.arange(N_PART) / 3.0)
 FLOW = MannTurbulence(dissipation=0.05, length_scale=15.0, gamma=3.2, name="test")
 SIGMAS = 4.0
@@ -37,7 +42,7 @@ def cholesky(covariance=COVARIANCE):
 class TestLaws:
     def test_whitened_parts_are_independent_and_know_no_mean(self):
         whitening = whitening_of(COVARIANCE)
-        matrix = scipy.linalg.toeplitz(COVARIANCE) + 0.02 * np.eye(N_PART)
+        matrix = scipy.linalg.toeplitz(COVARIANCE) + 0.002 * np.eye(N_PART)
         np.testing.assert_allclose(whitening @ matrix @ whitening.T, np.eye(N_PART - 1), atol=1e-10)
         np.testing.assert_allclose(whitening.sum(axis=1), 0.0, atol=1e-10)
 
@@ -73,6 +78,17 @@ class TestLaws:
             error = SIGMAS * np.sqrt(0.25 / 4000)
             assert power < best + error
             assert power > 0.5 * best - error
+
+    def test_a_front_is_much_like_one_of_the_shapes_wherever_it_is(self):
+        """As seen by parts in which it may begin and end anywhere; steps at their borders only miss a tenth of it."""
+        tests = make_tests(tuple(COVARIANCE), ("front",), 600.0, STEADY)
+        rng, number = np.random.default_rng(3), 50
+        since = (np.arange(N_PART * number) + 0.5) / (N_PART * number) * 600.0
+        moments = rng.uniform(60.0, 540.0, 200)
+        front = np.clip((since - moments[:, None]) / 10.0 + 0.5, 0.0, 1.0).reshape(200, N_PART, number).mean(axis=-1)
+        share, _ = statistic(front @ tests.whitening.T, tests.white["front"])
+        assert np.mean(share) > 0.93
+        assert np.min(share) > 0.8
 
     def test_intermittent_air_asks_for_more(self):
         calm, other = (
@@ -154,6 +170,69 @@ class TestRecords:
         clear = changes.clear(0.02)
         assert clear[:, 1].mean() > 0.9
         assert clear[:, 0].mean() < 0.3
+
+
+@pytest.fixture(scope="module")
+def air():
+    flow = MannTurbulence(dissipation=0.05, length_scale=61.0, gamma=3.2, name="test")
+    scan = brs.load_scan("2-beam")
+    return scan, brs.simulate(scan, flow, wind_speed=10.0, n_records=250, seed=9), flow
+
+
+class TestPower:
+    """In air of L = 61 m, where fronts of 3 m/s are 5 standard deviations of what eddies do."""
+
+    @staticmethod
+    def with_fronts(series, scan, which):
+        """Add steps of 3 m/s, smoothed over 10 s, at any time of the middle 80 % of some records."""
+        nanoseconds = series["time"].values.astype("datetime64[ns]").astype(np.int64)
+        record = nanoseconds // 600_000_000_000
+        record -= record.min()
+        rng = np.random.default_rng(4)
+        moment, sign = rng.uniform(60.0, 540.0, len(which)), rng.choice([-3.0, 3.0], len(which)) * which
+        return with_wind(
+            series, scan, lambda since: sign[record] * np.clip((since - moment[record]) / 10.0 + 0.5, 0.0, 1.0)
+        )
+
+    def test_fronts_are_found(self, air):
+        scan, series, flow = air
+        changed = self.with_fronts(series, scan, np.ones(250, dtype=bool))
+        clear = found_in(changed, scan, theory_noise(scan, flow, wind_speed=10.0)).clear(0.02).any(axis=1)
+        assert clear.mean() > 0.86  # 0.82 with parts of 19 s
+
+    def test_fronts_do_not_make_eddies_long(self, air):
+        """In a campaign of which a fifth has fronts, as a default fit sees it."""
+        scan, series, _ = air
+        front = np.arange(250) % 5 == 0
+        records = brs.make_records(self.with_fronts(series, scan, front), scan)
+        lines = []
+        _, found = noise_and_records(records, scan, None, FitOptions(), NoiseOptions(), lines.append)
+        length_scale = found["length_scale"].values
+        assert np.median(length_scale[front]) < 1.3 * np.median(length_scale[~front])
+        unsteady = found["unsteady"].values > 0
+        assert unsteady[front].mean() > 0.75
+        assert unsteady[~front].mean() < 0.02 + SIGMAS * np.sqrt(0.02 / 200)
+        assert any("left out: " in line and line.startswith("length scale from the spectra of ") for line in lines)
+
+    def test_the_spectra_of_unsteady_records_tell_nothing(self, air):
+        scan, series, _ = air
+        records = brs.make_records(series, scan)
+        out = np.arange(250) % 10 == 0
+        asked = []
+
+        def unsteady(these):
+            asked.append(float(these["length_scale"].median()))
+            return out
+
+        found = with_own_length_scale(records, scan, unsteady=unsteady)
+        report = json.loads(found.attrs[REPORT])
+        assert len(asked) == 2  # anew, until no more are found
+        assert report["n_unsteady"] == 25
+        assert report["n_told"] <= 225
+        own = np.log(with_own_length_scale(records, scan)["length_scale"].values)
+        now = np.log(found["length_scale"].values)
+        assert now[out].std() < 0.2 * own[out].std()
+        np.testing.assert_allclose(now[~out], own[~out], atol=0.1)
 
 
 class TestFit:

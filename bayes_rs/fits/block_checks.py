@@ -15,6 +15,8 @@ from bayes_rs.fits.steadiness import Changes, Modulation, find_changes
 from bayes_rs.fits.variance_scatter import VarianceScatter, learn_scatter
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
+from bayes_rs.quality.samples import BoolArray
+from bayes_rs.turbulence.mann import MannTurbulence
 
 CHANGES = {
     "wind_change": ("m s-1", "clear change of the wind along its mean direction, from the start to the end"),
@@ -75,6 +77,31 @@ def with_block_checks(
         records = _with_changes(records, changes, level)
         say(_change_words(records, changes, level))
     return records
+
+
+def unsteady_records(records: xr.Dataset, scan: Scan, turbulence: MannTurbulence, level: float) -> BoolArray:
+    """Return which records change as by a front or a trend, against Gaussian air of their own length scales.
+
+    Parameters
+    ----------
+    records : Dataset
+        From `make_records`, with ``length_scale``.
+    scan : Scan
+        The scan that measured them.
+    turbulence : MannTurbulence
+        Has Γ.
+    level : float
+        Share of steady records that may seem unsteady.
+
+    Returns
+    -------
+    unsteady : ndarray of bool, shape (n_record,)
+        False for records that are not compared.
+    """
+    states = block_states(records, scan, turbulence)
+    if states is None or not states.compared.any():
+        return np.zeros(records.sizes["record"], dtype=bool)
+    return np.asarray(find_changes(records, states).clear(level).any(axis=1))
 
 
 def _with_scatter(records: xr.Dataset, scatter: VarianceScatter) -> xr.Dataset:

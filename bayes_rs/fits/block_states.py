@@ -126,7 +126,7 @@ def _theory(scan: _Hashed, turbulence: MannTurbulence, wind_speed: float, yaw: f
     )
 
 
-def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates | None:
+def block_states(records: xr.Dataset, scan: Scan, noise: Noise | MannTurbulence) -> BlockStates | None:
     """Return the theory for records; None if they hold no statistics of their parts.
 
     Parameters
@@ -135,8 +135,8 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates |
         From `make_records`; with ``length_scale`` and ``length_scale_log_sd`` where the records have their own.
     scan : Scan
         The scan that measured them.
-    noise : Noise
-        Its turbulence has Γ, and the length scale of records that have none of their own.
+    noise : Noise or MannTurbulence
+        Has Γ, and the length scale of records that have none of their own.
 
     Returns
     -------
@@ -146,6 +146,7 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates |
     """
     if any(name not in records for name in STATISTICS):
         return None
+    turbulence, duration = (noise.turbulence, noise.duration) if isinstance(noise, Noise) else (noise, 600.0)
     speed, yaw = (np.asarray(records[name].values, dtype=np.float64) for name in ("wind_speed", "yaw"))
     pattern = np.asarray(records["part_beams"].values, dtype=np.int64).copy()
     pattern[~(np.isfinite(speed) & (speed > 0.0) & np.isfinite(yaw))] = 0
@@ -165,8 +166,8 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise) -> BlockStates |
     log_length = np.log(np.clip(length_scale, *_LENGTHS)) + _SPEED_STEP * speed_node - log_speed
     return BlockStates(
         scan=scan,
-        turbulence=replace(noise.turbulence, gamma=float(np.median(noise.gamma))),
-        duration=float(records.attrs.get("duration", noise.duration)),
+        turbulence=replace(turbulence, gamma=float(np.median(noise.gamma))),
+        duration=float(records.attrs.get("duration", duration)),
         pattern=pattern,
         yaw=np.where(on, np.rint(np.deg2rad(np.where(on, yaw, 0.0)) / _YAW_STEP), 0).astype(np.int64),
         speed=speed_node,

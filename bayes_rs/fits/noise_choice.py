@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,19 +11,22 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
-from bayes_rs.fits.block_checks import with_block_checks
+from bayes_rs.fits.block_checks import unsteady_records, with_block_checks
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.uncertain_length import length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.posteriors.nuisance import Nuisances
+from bayes_rs.quality.samples import BoolArray
 from bayes_rs.wind.mean_vector import mean_wind
 
 NET_LENGTHS = (10.0, 320.0)
 """Length scales, m, that noise reaches over for records whose own is uncertain; beyond, it is that of the ends."""
 OWN_TOLERANCE = 0.02
 """Largest relative error of K in a net over the length scales of records: it moves intervals by 1 %."""
+LEAVE_OUT_LEVEL = 0.01
+"""Share of steady records whose spectra may be left out of the length scale, since they seem unsteady."""
 LENGTH_REPORT = "length_scale_report"
 """Attribute of records whose length scale is that of their spectra."""
 _OF_SPECTRA = (
@@ -70,9 +74,9 @@ def noise_and_records(
         records = records.drop_vars(_OF_SPECTRA, errors="ignore").copy()
         del records.attrs[LENGTH_REPORT]
     if _needs_own_lengths(records, noise, options, choice):
-        from bayes_rs.spectra.record_lengths import length_words, with_own_length_scale  # noqa: PLC0415 - as below
+        from bayes_rs.spectra.record_lengths import length_words  # noqa: PLC0415 - as below
 
-        records = with_own_length_scale(records, scan)
+        records = _with_lengths_of_steady(records, scan, options.unsteady_level)
         say(length_words(records))
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
@@ -86,6 +90,30 @@ def noise_and_records(
         say(words)
     records = with_block_checks(records, scan, noise, options, say)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
+
+
+def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr.Dataset:
+    """Return records with the length scale of their spectra, of which those of unsteady records tell nothing.
+
+    A front is slow, and seems to be an eddy that is longer than all others. Records that change too clearly for the
+    length scales of the campaign are left out, and again for what the others tell, until no more are found. Their own
+    length scale is no measure: the change is in it.
+    """
+    from bayes_rs.spectra.record_lengths import with_own_length_scale  # noqa: PLC0415 - not needed with given noise
+    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
+
+    usual = load_turbulence("fu-2022")
+
+    def unsteady(found: xr.Dataset) -> BoolArray:
+        campaign = json.loads(found.attrs[LENGTH_REPORT])
+        speed = np.asarray(found["wind_speed"].values, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = campaign["length_scale"] * (speed / campaign["wind_speed"]) ** campaign["slope"]
+        log_sd = np.full(len(speed), np.hypot(campaign["spread"], campaign["log_sd"]))
+        like_others = found.assign(length_scale=("record", own), length_scale_log_sd=("record", log_sd))
+        return unsteady_records(like_others, scan, usual, min(level, LEAVE_OUT_LEVEL))
+
+    return with_own_length_scale(records, scan, unsteady=unsteady if level > 0.0 else None)
 
 
 def _needs_own_lengths(records: xr.Dataset, noise: Noise | None, options: FitOptions, choice: NoiseOptions) -> bool:

@@ -16,10 +16,15 @@ from bayes_rs.fits.block_states import BlockStates
 
 _N_NULL = 8000
 _SEED = 11
-_RAMPS = (8, 4)  # ramps last a record over so many
-_EDGE = 1  # parts that a step leaves on each side at least
+_RAMPS = (40, 8, 4)  # ramps last a record over so many, but at least a part
+_PLACES = (
+    64  # fronts are a record over so many apart, but at least half a part; and long ramps an eighth of their length
+)
+_EDGE = 1.0  # parts that the middle of a front is away from either end at least
 _USUAL = 0.01  # share of steady air that explains more by a shape than what families are compared at
-_SMOOTH = 0.02  # share of a part's variance that is taken to be noise of its own, beside theory's: instruments, aliases
+_SMOOTH = (
+    0.002  # share of a part's variance that is taken to be noise of its own, beside theory's; more hides fast eddies
+)
 
 
 class _Test(NamedTuple):
@@ -81,17 +86,20 @@ def shapes_of(n_part: int) -> dict[str, FloatArray]:
     Returns
     -------
     shapes : dict of str to ndarray
-        ``"trend"``: the line; ``"front"``: a step between any two parts, and ramps of a fourth
-        and an eighth of a record.
+        ``"trend"``: the line; ``"front"``: ramps of a fortieth, an eighth and a fourth of a record, each as the means
+        of the parts see it, wherever in a part it may be.
     """
-    middle = np.arange(n_part) + 0.5
-    front = [(middle > step).astype(np.float64) for step in range(_EDGE, n_part - _EDGE + 1)]
+    front = []
     for share in _RAMPS:
-        length = n_part // share
-        front += [
-            np.clip((middle - start) / length, 0.0, 1.0) for start in range(0, n_part - length + 1, max(1, length // 2))
-        ]
-    found = {"trend": (middle / n_part)[None], "front": np.array(front)}
+        length = max(n_part / share, 1.0)
+        between = max(n_part / _PLACES, 0.5, length / 8.0)
+        away = max(0.5 * length, _EDGE)
+        for middle in np.arange(away, n_part - away + 1e-9, between):
+            since = np.arange(n_part + 1.0) - (middle - 0.5 * length)
+            passed = np.clip(since, 0.0, length)
+            front.append(np.diff(0.5 * passed**2 / length + np.maximum(since - length, 0.0)))
+    trend = (np.arange(n_part) + 0.5) / n_part
+    found = {"trend": trend[None], "front": np.array(front)}
     return {name: shapes - shapes.mean(axis=-1, keepdims=True) for name, shapes in found.items()}
 
 
@@ -169,28 +177,35 @@ def make_tests(
         Whitening, shapes, and the null distribution of each family.
     """
     number = len(covariance)
-    rng = np.random.default_rng(_SEED)
     apart = np.array(covariance)
     whitening = whitening_of(apart)
-    shapes = {name: of for name, of in shapes_of(number).items() if name in families}
-    tests = ComponentTests(whitening, shapes, {})
-    matrix = scipy.linalg.toeplitz(apart) + _SMOOTH * apart[0] * np.eye(number)
-    wind = rng.standard_normal((_N_NULL, number)) @ np.linalg.cholesky(matrix).T
+    tests = ComponentTests(whitening, {name: of for name, of in shapes_of(number).items() if name in families}, {})
     if modulation.depth > 0.0:
-        wind *= np.exp(0.5 * np.sqrt(modulation.depth) * _ornstein_uhlenbeck(rng, number, duration, modulation))
-    white = wind @ whitening.T
+        matrix = scipy.linalg.toeplitz(apart) + _SMOOTH * apart[0] * np.eye(number)
+        wind = _normal(number) @ np.linalg.cholesky(matrix).T * _strength(number, duration, modulation)
+        white = wind @ whitening.T
+    else:
+        white = _normal(number - 1)  # in Gaussian air, whatever the covariance
     for name, of in tests.white.items():
         tests.null[name] = np.sort(statistic(white, of)[0])
     return tests
 
 
-def _ornstein_uhlenbeck(rng: np.random.Generator, number: int, duration: float, modulation: Modulation) -> FloatArray:
+@lru_cache(maxsize=4)
+def _normal(number: int) -> FloatArray:
+    """Return independent normal numbers, (_N_NULL, number), the same for all tests."""
+    return np.random.default_rng(_SEED).standard_normal((_N_NULL, number))
+
+
+@lru_cache(maxsize=4)
+def _strength(number: int, duration: float, modulation: Modulation) -> FloatArray:
+    """Return by what the winds of parts are multiplied in intermittent air, (_N_NULL, number)."""
     keep = np.exp(-duration / number / modulation.time_scale)
-    shock = rng.standard_normal((_N_NULL, number))
+    shock = np.random.default_rng(_SEED + 1).standard_normal((_N_NULL, number))
     found = shock.copy()
     for part in range(1, number):
         found[:, part] = keep * found[:, part - 1] + np.sqrt(1.0 - keep**2) * shock[:, part]
-    return found
+    return np.asarray(np.exp(0.5 * np.sqrt(modulation.depth) * found))
 
 
 @dataclass(frozen=True)

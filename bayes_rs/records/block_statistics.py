@@ -15,10 +15,10 @@ MOST_BEAMS = 8
 """Beams that the statistics are made of: of scans with more, these are spread evenly over their numbers."""
 BLOCKS = (4, 8, 16)
 """Numbers of blocks of a record whose variances are compared."""
-_PARTS = (32, 16)
-_LEAST_OF_PART = {32: 3.0, 16: 1.0}  # samples of a beam in a part
+_PARTS = (64, 32, 16)
+_LEAST_OF_PART = {64: 2.0, 32: 3.0, 16: 1.0}  # samples of a beam in a part
 _LEAST_OF_BLOCK = 4.0  # samples of a beam in a block: fewer have no variance to speak of
-_MISSING = 0.1  # share of a beam's parts that may be empty, to be filled from those beside them
+_MISSING = 0.15  # share of a beam's parts that may be empty, to be filled from those beside them
 _NS = 1e9
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ _NAMES = ("length_scale", "length_scale_log_sd")
 _HALF = np.log(1.5)  # other length scales than by half are not worth a word
 _TELLS = 1.0  # decrease of the log-likelihood from its maximum to the ends, below which a record tells nothing
 _SAMPLES_OFF = 1.3  # samples over what the scan gives, above which its times are not those of the scan
+_MOST_PASSES = 6  # in which unsteady records are left out
 _USED = 0.2  # share of records that a beam must be used in, to be looked at
 
 
@@ -40,6 +42,7 @@ def with_own_length_scale(
     *,
     length_scale_prior: tuple[float, float] = (PRIOR_MEDIAN, PRIOR_LOG_SD),
     gamma: float = 3.2,
+    unsteady: Callable[[xr.Dataset], NDArray[np.bool_]] | None = None,
 ) -> xr.Dataset:
     """Return records with the length scale that the octaves of their variances tell, pooled over the records.
 
@@ -53,6 +56,9 @@ def with_own_length_scale(
         Median of the length scale L, m, and standard deviation of ln L, of a record of an unknown campaign.
     gamma : float
         Anisotropy parameter Γ.
+    unsteady : callable, optional
+        Takes records with length scales, and returns which of them, shape (n_record,), change by more than eddies.
+        Their spectra tell nothing, and the length scales are found anew, until no more records are found.
 
     Returns
     -------
@@ -80,8 +86,24 @@ def with_own_length_scale(
     """
     of_records = as_scan(scan).select(records["beam"].values)
     log_density = _log_densities(records, of_records, gamma)
+    found = _pooled(records, log_density, length_scale_prior, 0)
+    if unsteady is None or not log_density.any():
+        return found
+    left_out: NDArray[np.bool_] = np.zeros(len(log_density), dtype=bool)
+    for _ in range(_MOST_PASSES):
+        more = unsteady(found) & ~left_out
+        if not more.any():
+            break
+        left_out |= more
+        log_density[more] = 0.0
+        found = _pooled(records, log_density, length_scale_prior, int(left_out.sum()))
+    return found
+
+
+def _pooled(records: xr.Dataset, log_density: FloatArray, prior: tuple[float, float], n_unsteady: int) -> xr.Dataset:
+    """Return records with their length scales, and the report on them."""
     speed = np.asarray(records["wind_speed"].values, dtype=np.float64)
-    median, log_sd = (float(value) for value in length_scale_prior)
+    median, log_sd = (float(value) for value in prior)
     pooled = pool_lengths(log_density, speed, median=median, log_sd=log_sd)
     told = log_density.max(axis=1) - np.minimum(log_density[:, 0], log_density[:, -1]) > _TELLS
     known = speed[np.isfinite(speed) & (speed > 0.0)]
@@ -95,6 +117,7 @@ def with_own_length_scale(
         "wind_speed": float(np.exp(np.mean(np.log(known)))) if len(known) else None,
         "own_log_sd": float(np.median(pooled.log_sd)),
         "prior": [median, log_sd],
+        "n_unsteady": n_unsteady,
     }
     report["words"] = _in_words(report)
     return records.assign(
@@ -170,17 +193,18 @@ def _in_words(report: dict[str, Any]) -> str:
             f"{report['length_scale']:.0f} ({low:.0f} to {high:.0f}): where the data decide, 90 % intervals hold about "
             f"{100.0 * report['coverage']:.0f} %"
         )
+    left_out = f"; left out: {report['n_unsteady']} unsteady records" if report["n_unsteady"] else ""
     if report["n_told"] == 0:
         low, high = _ends(report["prior"][0], report["prior"][1])
         return (
             f"length scale: the records do not tell it, so it is anything from {low:.0f} to {high:.0f} m (90 %), which "
-            "widens the intervals"
+            f"widens the intervals{left_out}"
         )
     return (
         f"length scale from the spectra of {report['n_told']} of {report['n_record']} records: "
         f"{report['length_scale']:.0f} m ({low:.0f} to {high:.0f}) at {report['wind_speed']:.1f} m/s, different from "
         f"record to record by a factor {np.exp(report['spread']):.2g}; that of a record is known to a factor "
-        f"{np.exp(report['own_log_sd']):.2g} (one standard deviation)"
+        f"{np.exp(report['own_log_sd']):.2g} (one standard deviation){left_out}"
     )
 
 
