@@ -289,7 +289,7 @@ class RecordMoves:
         new_frame = self.frame(moved)
         trial = new_frame.place(frame.score(state.coordinate))
         height = self.log_likelihood(trial)
-        where = np.isfinite(height).all(axis=1)
+        where = np.asarray(np.isfinite(height).all(axis=1))
         return (
             State(
                 hyper.where(where, moved),
