@@ -133,7 +133,7 @@ class TestWhichRecordsEnter:
             flag[index] = FLAGS[name]
         return flag
 
-    @pytest.mark.parametrize("name", ["no_wind", "likelihood_failed", "outside_noise", "contradicts_model"])
+    @pytest.mark.parametrize("name", ["no_wind", "likelihood_failed", "outside_noise", "beams_disagree"])
     def test_a_record_with_this_flag_stays_out(self, name):
         chosen = campaign_records(self.flags(**{name: 1}), FitOptions())
         np.testing.assert_array_equal(chosen.record, np.arange(1, CAMPAIGN_FROM + 1))

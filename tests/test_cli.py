@@ -215,12 +215,15 @@ class TestFit:
         folder, done = finished
         assert done.returncode == 0
         assert done.stdout.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
-        assert len(done.stderr.splitlines()) == REPORT  # no warning, no progress bar where there is no terminal
+        told = done.stderr.splitlines()  # no warning, no progress bar where there is no terminal
+        kinds = ("noise was made for L = ", "scatter of the variances", "steadiness: ", "flag other_length_scale: 2 of 2")
+        assert len(told) == REPORT + len(kinds)  # the velocities are white, and the noise is that of eddies
+        assert all(line.startswith(kind) for line, kind in zip(told[REPORT:], kinds, strict=True))
         assert {path.name for path in folder.iterdir()} == FILES
 
     def test_it_says_what_the_scan_sees_what_the_prior_is_and_how_far_the_data_decided(self, finished):
         folder, done = finished
-        sight, prior, before, after, medians, plain, learnt, decided, _, _ = done.stdout.splitlines()
+        sight, prior, before, after, medians, plain, learnt, decided, *_ = done.stdout.splitlines()
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
@@ -256,7 +259,7 @@ class TestFit:
         assert run["bayes_rs"] == version("bayes_rs")
         assert run["packages"]["emcee"] == version("emcee")
         assert (run["n_record"], run["n_fitted"]) == (2, 2)
-        assert set(run["flags"].values()) == {0}
+        assert {name for name, count in run["flags"].items() if count} == {"other_length_scale"}
         assert run["source_files"] == ["good.csv"]
         assert run["noise"]["method"] == "given"
         assert set(run["seconds"]) == {"fitting"}
@@ -330,7 +333,9 @@ class TestFit:
         assert code == 0
         assert out.splitlines()[-1].startswith("2 of 2 records fitted; ")
         assert any(f"flag {word}: 2 of 12 beams of records" in line for line in err)
-        assert set(summary_of(tmp_path / "out")["flag"]) == {"beam_left_out"}
+        words = {tuple(flag.split(";")) for flag in summary_of(tmp_path / "out")["flag"]}
+        assert {first for first, *_ in words} == {"beam_left_out"}
+        assert {more for _, *rest in words for more in rest} <= {"other_length_scale"}  # white, as all of these are
         used = open_fit(tmp_path / "out")["observed_data/used"].values
         assert used.tolist() == [[1, 1, 1, 1, 0, 1]] * 2
 
@@ -476,7 +481,7 @@ class TestLongFit:
             (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
             (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
             (("--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
-            (("--length-scale", 50), ("Invalid length_scale 50 m with length_scale_log_sd 0", "--length-scale-sd")),
+            (("--length-scale", 50), ("Invalid length_scale 50 m with length_scale_log_sd records", "--length-scale-sd")),
         ],
     )
     def test_a_value_that_is_not_valid(self, fit, inputs, more, parts):

@@ -350,6 +350,7 @@ def estimators_recover_exact_variances(rng: np.random.Generator) -> None:
     """Variances without error give back the stresses, whatever scan sees them all, wind direction and units."""
     scan = random_scan(rng, int(rng.integers(6, 12)))
     stress, yaw = random_tensor(rng), rng.uniform(-180.0, 180.0)
+    stress = stress / max(1.0, stress[:3].sum() / 800.0)  # more is not believed
     matrix = brs.geometry.design_matrix(scan.at_yaw(np.deg2rad(yaw)))
     condition = np.linalg.cond(matrix)
     if condition > 1e6:
@@ -365,7 +366,7 @@ def records_of_random_series(rng: np.random.Generator) -> None:
     scan = random_scan(rng, n_beam, widest=1.0)
     start = np.datetime64("2021-03-01", "ns") + 600 * int(rng.integers(0, 50)) * np.timedelta64(10**9, "ns")
     second, beam, velocity = [], [], []
-    mean, size = 10.0 ** rng.uniform(-2, 3), 10.0 ** rng.uniform(-3, 1)
+    mean, size = 10.0 ** rng.uniform(-2, 1.6), 10.0 ** rng.uniform(-3, 1)
     for record, number in itertools.product(range(n_record), scan.beam.tolist()):
         count = int(rng.integers(12, 30))
         second += (600.0 * record + np.sort(rng.choice(5990, count, replace=False)) / 10.0).tolist()

@@ -40,7 +40,7 @@ def given_noise(scan, covariance):
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
-@pytest.mark.parametrize("size", [1e-8, 1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("size", [1e-8, 1e-4, 1.0, 1e2])  # more is not believed
 def test_posterior_scales_with_the_data(size, sampler):
     """A scale-free prior and data times c: the same draws times c, because the seed is the same.
 
