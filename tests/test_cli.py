@@ -216,7 +216,12 @@ class TestFit:
         assert done.returncode == 0
         assert done.stdout.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
         told = done.stderr.splitlines()  # no warning, no progress bar where there is no terminal
-        kinds = ("noise was made for L = ", "scatter of the variances", "steadiness: ", "flag other_length_scale: 2 of 2")
+        kinds = (
+            "noise was made for L = ",
+            "scatter of the variances",
+            "steadiness: ",
+            "flag other_length_scale: 2 of 2",
+        )
         assert len(told) == REPORT + len(kinds)  # the velocities are white, and the noise is that of eddies
         assert all(line.startswith(kind) for line, kind in zip(told[REPORT:], kinds, strict=True))
         assert {path.name for path in folder.iterdir()} == FILES
@@ -481,7 +486,10 @@ class TestLongFit:
             (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
             (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
             (("--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
-            (("--length-scale", 50), ("Invalid length_scale 50 m with length_scale_log_sd records", "--length-scale-sd")),
+            (
+                ("--length-scale", 50),
+                ("Invalid length_scale 50 m with length_scale_log_sd records",),
+            ),
         ],
     )
     def test_a_value_that_is_not_valid(self, fit, inputs, more, parts):

@@ -352,7 +352,7 @@ class TestFit:
         records["wind_speed"][:] = 9.0
         bank = Noise.join(tuple(models))
         with pytest.raises(InputError, match="spans length_scale 30 to 120"):
-            fit(records, scan, noise=bank, seed=1)
+            fit(records, scan, noise=bank, seed=1, turbulence="fu-2022")
         records["length_scale"] = ("record", [30.0, 120.0])
         sd = fit(records, scan, noise=bank, seed=1)["posterior/stress"].sel(component="uu").std(("chain", "draw"))
         assert float(sd[1] / sd[0]) > 1.5

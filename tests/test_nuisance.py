@@ -276,7 +276,7 @@ class TestYawOfRecords:
     def test_more_uncertain_directions_make_wider_posteriors(self):
         scan, noise, stress, rng = scene("6-beam", 15, 1, opening_angle_deg=45.0)
         variance = np.repeat(draw_variances(stress, scan, noise, rng), 5, axis=0)
-        records = records_of(variance, scan).assign(yaw_sd=("record", [0.0, 5.0, 10.0, 20.0, 0.0]))
+        records = records_of(variance, scan).assign(yaw_sd=("record", [0.0, 8.0, 14.0, 24.0, 0.0]))
         options = {"noise": noise, "seed": 1, "sampler": "direct", "target_ess": 4000}
         result = fit(records, scan, nuisances=self.OWN, **options)
         width = result["posterior/stress"].std(("chain", "draw")).sel(component="uv").values

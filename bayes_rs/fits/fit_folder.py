@@ -120,7 +120,11 @@ def fit_into(
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
         tables = FolderTables(folder, int(run["part_records"]))
-        run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
+        try:
+            run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
+        except (InputError, OSError):
+            folder.check_whole()  # a part that went while the others were made is named as lost
+            raise
     except BaseException as error:
         error.add_note(
             f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: the same call with "
