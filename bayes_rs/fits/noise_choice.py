@@ -12,7 +12,7 @@ import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.block_checks import unsteady_records, with_block_checks
-from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.fit_options import USUAL_TURBULENCE, FitOptions, NoiseOptions
 from bayes_rs.fits.uncertain_length import length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
@@ -102,7 +102,7 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr
     from bayes_rs.spectra.record_lengths import with_own_length_scale  # noqa: PLC0415 - not needed with given noise
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
 
-    usual = load_turbulence("fu-2022")
+    usual = load_turbulence(USUAL_TURBULENCE)
 
     def unsteady(found: xr.Dataset) -> BoolArray:
         campaign = json.loads(found.attrs[LENGTH_REPORT])

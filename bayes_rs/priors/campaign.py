@@ -212,7 +212,7 @@ class CampaignPrior(Prior):
         path : str or Path
             The file; it is replaced.
         """
-        base = {key: value for key, value in asdict(self.base).items() if key != "name"}  # type: ignore[call-overload]
+        base = {key: value for key, value in asdict(self.base).items() if key != "name"}  # type: ignore[call-overload] # a dataclass
         lines = [
             f"format = {toml_value(_FORMAT)}",
             f"version = {toml_value(__version__)}",

@@ -65,14 +65,14 @@ class Prior(ABC):
         """Return the same prior with all its widths multiplied by `factor`: for checks of what the prior decides."""
         raise InputError(f"Prior {self.name!r} cannot be widened by {factor:g}: give it the method `widened`.")
 
-    def for_records(self, wind_speed: FloatArray, group: Sequence[object] | None = None) -> Prior:  # noqa: ARG002
+    def for_records(self, wind_speed: FloatArray, group: Sequence[object] | None = None) -> Prior:  # noqa: ARG002 - for priors that differ
         """Return the prior of records of these wind speeds, shape (n_record,), m/s, and groups.
 
         It is this prior itself, unless the prior knows how stresses depend on the wind speed or on the group.
         """
         return self
 
-    def take(self, records: NDArray[np.int64]) -> Prior:  # noqa: ARG002
+    def take(self, records: NDArray[np.int64]) -> Prior:  # noqa: ARG002 - for priors that differ
         """Return the prior of some of the records: this prior itself, unless it differs from record to record."""
         return self
 
