@@ -48,7 +48,7 @@ def fitted(
     scan: brs.Scan,
     *,
     length_scale: float | None = None,
-    instrument_noise: float | str = 0.0,
+    instrument_noise: float | str = "records",
     campaign: str = "off",
 ) -> brs.Fit:
     """Return the fit of the day; with noise of a length scale, if one is given, in place of the records' own."""

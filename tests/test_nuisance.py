@@ -399,5 +399,6 @@ class TestRefusals:
     def test_uncertain_instrument_noise_needs_a_median(self):
         scan, noise, stress, rng = scene("6-beam", 11, 2)
         records = records_of(draw_variances(stress, scan, noise, rng), scan)
-        with pytest.raises(InputError, match="Invalid instrument_noise 0"):
-            fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(instrument_noise_log_sd=0.3))
+        for given in ({}, {"instrument_noise": 0.0}):
+            with pytest.raises(InputError, match="Invalid instrument_noise 0"):
+                fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(instrument_noise_log_sd=0.3), **given)

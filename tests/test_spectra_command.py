@@ -68,7 +68,7 @@ def test_its_records_go_into_a_fit(tmp_path, common):
     found = np.unique(records["instrument_noise"].values)
     assert found == pytest.approx([added], abs=0.045)  # five of its standard deviations, as with_instrument_noise says
     uu = {}
-    for name, more in (("with", ["--instrument-noise", "records"]), ("without", [])):
+    for name, more in (("with", ["--instrument-noise", "records"]), ("without", ["--instrument-noise", "0"])):
         target = tmp_path / name
         given = [str(tmp_path / "out" / "records.nc"), "--scan", "2-beam", "--sampler", "direct", "--ess", "200"]
         done = CliRunner().invoke(fit, [*given, *more, "-o", str(target)])

@@ -188,8 +188,10 @@ class TestFit:
             variance=records["variance"] + add,
             instrument_noise=(("record", "beam"), add),
         )
-        plain = self.draws(six, noise, records)["posterior"]["stress"].mean(("chain", "draw")).values
-        moved = self.draws(six, noise, more)["posterior"]["stress"].mean(("chain", "draw")).values
+        plain, moved = (
+            self.draws(six, noise, one, instrument_noise=0.0)["posterior"]["stress"].mean(("chain", "draw")).values
+            for one in (records, more)
+        )
         back = self.draws(six, noise, more, instrument_noise="records")["posterior"]["stress"]
         back = back.mean(("chain", "draw")).values
         # the noise of a variance grows with it, so the fit is not the same, but most of what was added is taken off
@@ -220,8 +222,9 @@ class TestFit:
 
     def test_input_is_checked(self, six, noise):
         _, records, _ = six
-        with pytest.raises(brs.InputError, match="The records have no instrument_noise"):
-            self.draws(six, noise, records, instrument_noise="records")
+        of_beams = records.assign(instrument_noise=("beam", np.full(6, 0.1)))
+        with pytest.raises(brs.InputError, match=r"Invalid instrument_noise of the records, with dims \('beam',\)"):
+            self.draws(six, noise, of_beams, instrument_noise="records")
         with pytest.raises(brs.InputError, match="Unknown instrument_noise 'floor'"):
             self.draws(six, noise, records, instrument_noise="floor")
         values = np.full((4, 6), 0.1)

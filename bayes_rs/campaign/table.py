@@ -22,6 +22,7 @@ _RELATIVE = ("vv", "ww", "uv", "uw", "vw", "tke")
 """Quantities of the size of uu: what was decided of them is told of their ratios to the mean of uu."""
 _SIGNED = ("uv", "uw", "vw", "rho_uv", "rho_uw", "rho_vw")
 """Quantities that may be negative; of all others the logarithm is compared."""
+_NORMAL = 3  # stresses before the shear stresses
 _LEAST = 3
 """A bin with fewer records has no row: it has no spread and no quantile."""
 
@@ -33,6 +34,7 @@ def campaign_table(
     wind_speed: FloatArray | None = None,
     stress_mean: FloatArray | None = None,
     chosen: NDArray[np.int64] | None = None,
+    offset_sd: FloatArray | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
     """Return a campaign's numbers, each with a credible interval.
@@ -49,8 +51,10 @@ def campaign_table(
         Posterior means of the stresses of all records, one by one, m² s⁻².
     chosen : ndarray of int, shape (n_record,), optional
         Which of all records were sampled: what `choose_records` gave.
+    offset_sd : ndarray, shape (n_record,), optional
+        Standard deviation of what is left of the instrument's noise in the variances of the sampled records, m² s⁻².
     seed : int
-        Seed of the draws of the sampling error, where only some records were sampled.
+        Seed of the draws of the sampling error, where only some records were sampled, and of that of the noise.
 
     Returns
     -------
@@ -77,6 +81,9 @@ def campaign_table(
     whose weights are drawn together by √(1 − n/N): 0 where all records were sampled. Standard deviations and quantiles
     have these weights, too, but no auxiliary.
 
+    An error of the instrument's noise is the same one in all records, so that their mean does not average it out. It
+    acts on variances as an isotropic part of R: each draw of all records has one of it, taken off uu, vv and ww alike.
+
     `decided` is 1 − variance of the number in the posterior over that in campaigns without data. A number of the size
     of uu is divided by the mean of uu for it, since what says how large turbulence is would otherwise seem to decide
     all else; of what is positive the logarithm is compared, since the prior's long tails would otherwise do.
@@ -90,6 +97,8 @@ def campaign_table(
         raise InputError(f"Invalid prob {prob}: it must be a probability, above 0 and below 1.")
     rng = np.random.default_rng(seed)
     draws = campaign.stress.reshape(-1, campaign.n_record, len(STRESSES))
+    if offset_sd is not None:
+        draws = _offset(draws, check_array(offset_sd, (campaign.n_record,), what="offset_sd"), rng)
     values = _of_records(draws, campaign.wind_speed)
     before = _of_records(campaign.prior_stress, campaign.wind_speed)
     rest = _Rest(campaign, wind_speed, stress_mean, chosen)
@@ -161,6 +170,18 @@ def _bins(campaign: CampaignPosterior, rest: _Rest) -> Iterator[tuple[str, NDArr
         part = np.flatnonzero(names == label)
         if len(part) >= _LEAST:  # of records that were not sampled no group is known
             yield label, part, len(part), False
+
+
+def _offset(draws: FloatArray, sd: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return draws of stresses from which one error of the instrument's noise is taken, the same in all records.
+
+    To first order in it R_ii exp(−δ/R_ii) is R_ii − δ, and it is never below zero.
+    """
+    found = np.array(draws)
+    amount = rng.standard_normal(len(draws))[:, None] * sd
+    for index in range(_NORMAL):
+        found[..., index] *= np.exp(-np.clip(amount / found[..., index], -1.0, 1.0))
+    return found
 
 
 def _of_records(stress: FloatArray, wind_speed: FloatArray) -> dict[str, FloatArray]:

@@ -16,7 +16,13 @@ from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import REFERENCE_STRESS, Likelihood, make_likelihood, reduced_log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise, reduced
-from bayes_rs.likelihoods.scattered import scattered, scattered_reduced, scattered_sonic
+from bayes_rs.likelihoods.scattered import (
+    scattered,
+    scattered_reduced,
+    scattered_sonic,
+    shifted,
+    shifted_reduced,
+)
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.posteriors.nuisance import Nuisances, RecordNuisances
@@ -50,6 +56,8 @@ class Batch:
         What takes the gains to the records' own tilt and roll (`gain_turn`), where those were measured.
     instrument_noise : ndarray, shape (n_record, n_beam), optional
         Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
+    instrument_noise_sd : ndarray, shape (n_record, n_beam), optional
+        Its standard deviation over the beam's variance. The error is the same for all beams of a record.
     yaw_sd : ndarray, shape (n_record,), optional
         Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
     scatter : ndarray, shape (n_record, 2), optional
@@ -68,6 +76,7 @@ class Batch:
     flow: dict[str, FloatArray] = field(default_factory=dict)
     turn: FloatArray | None = None
     instrument_noise: FloatArray | None = None
+    instrument_noise_sd: FloatArray | None = None
     yaw_sd: FloatArray | None = None
     scatter: FloatArray | None = None
     length_log_sd: FloatArray | None = None
@@ -88,6 +97,7 @@ class Batch:
             {name: values[records] for name, values in self.flow.items()},
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
+            None if self.instrument_noise_sd is None else self.instrument_noise_sd[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
             scatter=None if self.scatter is None else self.scatter[records],
             length_log_sd=None if self.length_log_sd is None else self.length_log_sd[records],
@@ -239,6 +249,8 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         )
         if batch.scatter is not None:
             at_node = scattered_reduced(at_node, noise.left, batch.scatter)
+        if batch.instrument_noise_sd is not None:
+            at_node = shifted_reduced(at_node, noise.left, batch.instrument_noise_sd)
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
@@ -345,7 +357,9 @@ def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
     """Return the noise of records; of their own turbulence where they have one and the noise spans several."""
     own = _own_flow(noise, batch, nuisances, factor)
     found = averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd)
-    return found if batch.scatter is None else scattered(found, batch.scatter)
+    if batch.scatter is not None:
+        found = scattered(found, batch.scatter)
+    return found if batch.instrument_noise_sd is None else shifted(found, batch.instrument_noise_sd)
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:

@@ -94,8 +94,9 @@ class FitOptions:
     target_ess: int = option(1000, "Bulk effective sample size that every stress should reach", flag="--ess")
     max_extension: int = option(5, "How often a chain that is too short may be doubled")
     instrument_noise: float | str = option(
-        0.0,
-        "Variance that the instrument adds to each radial variance; or records, for each record's own of each beam",
+        "records",
+        "Variance that the instrument adds to each radial variance; or records, for each record's own: what it holds, "
+        "or else what the octaves of its variances tell",
         unit="m² s⁻²",
         choices=("records",),
     )

@@ -74,26 +74,42 @@ def noise_and_records(
         records = records.drop_vars(_OF_SPECTRA, errors="ignore").copy()
         del records.attrs[LENGTH_REPORT]
     if _needs_own_lengths(records, noise, options, choice):
-        from bayes_rs.spectra.record_lengths import length_words  # noqa: PLC0415 - as below
-
-        records = _with_lengths_of_steady(records, scan, options.unsteady_level)
-        say(length_words(records))
+        records = _with_lengths_of_steady(records, scan, options)
+        _tell_spectra(records, say)
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
     if "length_scale" not in records and np.ptp(noise.length_scale) == 0.0 and "octave_variance" in records:
-        from bayes_rs.spectra.record_lengths import compared_length_scale, length_words  # noqa: PLC0415 - as below
+        from bayes_rs.spectra.record_lengths import compared_length_scale  # noqa: PLC0415 - not needed otherwise
 
-        records = compared_length_scale(records, scan, float(noise.length_scale[0]))
-        if words := length_words(records):
-            say(words)
+        records = compared_length_scale(
+            records, scan, float(noise.length_scale[0]), instrument_noise=options.instrument_noise
+        )
+        _tell_spectra(records, say)
+    if (
+        options.instrument_noise == "records"
+        and "instrument_noise" not in records
+        and LENGTH_REPORT not in records.attrs
+    ):
+        from bayes_rs.spectra.record_lengths import with_told_noise  # noqa: PLC0415 - not needed otherwise
+
+        records = with_told_noise(records, scan)
+        _tell_spectra(records, say)
     if words := about_probe(noise, records):
         say(words)
     records = with_block_checks(records, scan, noise, options, say)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
 
 
-def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr.Dataset:
-    """Return records with the length scale of their spectra, of which those of unsteady records tell nothing.
+def _tell_spectra(records: xr.Dataset, say: Say) -> None:
+    """Say which length scale and which instrument noise the records' spectra tell."""
+    from bayes_rs.spectra.record_lengths import length_words, noise_words  # noqa: PLC0415 - not needed otherwise
+
+    for words in filter(None, (length_words(records), noise_words(records))):
+        say(words)
+
+
+def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, options: FitOptions) -> xr.Dataset:
+    """Return records with length scale and noise of their spectra; those of unsteady records tell no length.
 
     A front is slow, and seems to be an eddy that is longer than all others. Records that change too clearly for the
     length scales of the campaign are left out, and again for what the others tell, until no more are found. Their own
@@ -102,7 +118,7 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr
     from bayes_rs.spectra.record_lengths import with_own_length_scale  # noqa: PLC0415 - not needed with given noise
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
 
-    usual = load_turbulence(USUAL_TURBULENCE)
+    usual, level = load_turbulence(USUAL_TURBULENCE), options.unsteady_level
 
     def unsteady(found: xr.Dataset) -> BoolArray:
         campaign = json.loads(found.attrs[LENGTH_REPORT])
@@ -113,7 +129,12 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, level: float) -> xr
         like_others = found.assign(length_scale=("record", own), length_scale_log_sd=("record", log_sd))
         return unsteady_records(like_others, scan, usual, min(level, LEAVE_OUT_LEVEL))
 
-    return with_own_length_scale(records, scan, unsteady=unsteady if level > 0.0 else None)
+    return with_own_length_scale(
+        records,
+        scan,
+        instrument_noise=options.instrument_noise,
+        unsteady=unsteady if level > 0.0 else None,
+    )
 
 
 def _needs_own_lengths(records: xr.Dataset, noise: Noise | None, options: FitOptions, choice: NoiseOptions) -> bool:

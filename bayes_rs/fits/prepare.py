@@ -40,7 +40,16 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     noise.check_scan(scan)
     _check_duration(records, noise)
     uncertain = options.nuisances
-    own_noise = _own_noise(records, _sound(records)) if isinstance(options.instrument_noise, str) else None
+    own_noise = own_noise_sd = None
+    if isinstance(options.instrument_noise, str):
+        own_noise = _own_noise(records, _sound(records))
+        if uncertain.instrument_noise_log_sd == 0.0:
+            own_noise_sd = _own_noise_sd(records, _sound(records))
+        elif not np.all(own_noise[_sound(records)] > 0.0):
+            raise InputError(
+                "Invalid instrument_noise 0 of records: its logarithm is to be uncertain, so its median must be above "
+                "0 m² s⁻², and the records hold or tell none; give a number as instrument_noise."
+            )
     batch = Batch(
         np.asarray(records["variance"].values, dtype=np.float64),
         used_beams(records, options.instrument_noise),
@@ -50,6 +59,7 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         {name: np.asarray(records[name].values) for name in ("length_scale", "gamma") if name in records},
         gain_turn(records, scan),
         own_noise,
+        own_noise_sd,
         group=campaign_groups(records, options.campaign_group),
     )
     if options.scatter == "records" and "variance_scatter" in records:
@@ -100,11 +110,13 @@ def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
 
 
 def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
-    """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²."""
-    if "instrument_noise" not in records or records["instrument_noise"].dims != ("record", "beam"):
+    """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²; 0 if they hold none."""
+    if "instrument_noise" not in records:
+        return np.zeros(used.shape)
+    if records["instrument_noise"].dims != ("record", "beam"):
         raise InputError(
-            "The records have no instrument_noise with dims ('record', 'beam'): add it with with_instrument_noise, or "
-            "give a number as instrument_noise."
+            f"Invalid instrument_noise of the records, with dims {records['instrument_noise'].dims}: they must be "
+            "('record', 'beam'), as with_instrument_noise makes it; or give a number as instrument_noise."
         )
     own = np.asarray(records["instrument_noise"].values, dtype=np.float64)
     bad = np.argwhere(used & ~(np.isfinite(own) & (own >= 0.0)))
@@ -115,6 +127,16 @@ def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
             f"{records['beam'].values[beam]}: it must be finite, zero or above; with_instrument_noise makes it so."
         )
     return np.where(used, own, 0.0)
+
+
+def _own_noise_sd(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray | None:
+    """Return how uncertain the instrument's noise is that records hold, over the variances; None if they do not say."""
+    if "instrument_noise_sd" not in records or records["instrument_noise_sd"].dims != ("record", "beam"):
+        return None
+    sd = np.asarray(records["instrument_noise_sd"].values, dtype=np.float64)
+    variance = np.asarray(records["variance"].values, dtype=np.float64)
+    told = used & np.isfinite(sd) & (sd > 0.0)
+    return np.where(told, sd / np.where(told, variance, 1.0), 0.0) if told.any() else None
 
 
 def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:

@@ -117,12 +117,13 @@ def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, o
 
 
 def _of_beams(batch: Batch, some: NDArray[np.int64]) -> Batch:
-    own = batch.instrument_noise
+    own, sd = batch.instrument_noise, batch.instrument_noise_sd
     return replace(
         batch,
         variance=batch.variance[:, some],
         used=batch.used[:, some],
         instrument_noise=None if own is None else own[:, some],
+        instrument_noise_sd=None if sd is None else sd[:, some],
     )
 
 

@@ -1,4 +1,4 @@
-"""Noise of air whose strength wanders: variances scatter by so much more than theory's."""
+"""Noise of variances that scatter by more than theory's: in air whose strength wanders, and of uncertain offsets."""
 
 from __future__ import annotations
 
@@ -68,6 +68,55 @@ def scattered_reduced(noise: ReducedRecordNoise, left: FloatArray, scatter: Floa
         noise,
         covariance=noise.covariance + added,
         log_variance=noise.log_variance + (common + own)[:, None],
+    )
+
+
+def shifted(noise: RecordNoise, relative_sd: FloatArray) -> RecordNoise:
+    r"""Return the noise of records whose variances all lie by the same unknown amount too high or too low.
+
+    Parameters
+    ----------
+    noise : RecordNoise
+        Without that.
+    relative_sd : ndarray, shape (n_record, n_beam)
+        Standard deviation t of the amount, over each beam's variance.
+
+    Returns
+    -------
+    noise : RecordNoise
+        With :math:`1 + K'_{ab} = (1 + K_{ab}) (1 + t_a t_b)`. What is left of an instrument's noise is such an
+        amount: it looks like an isotropic part of R.
+    """
+    factor = 1.0 + relative_sd[:, :, None] * relative_sd[:, None, :]
+    return replace(
+        noise,
+        covariance=(1.0 + noise.covariance) * factor - 1.0,
+        state=np.arange(len(relative_sd), dtype=np.int64),
+    )
+
+
+def shifted_reduced(noise: ReducedRecordNoise, left: FloatArray, relative_sd: FloatArray) -> ReducedRecordNoise:
+    """Return the reduced noise of records that are all shifted; as `shifted`, to first order in the square of t.
+
+    Parameters
+    ----------
+    noise : ReducedRecordNoise
+        Without that.
+    left : ndarray, shape (n_beam, n_seen)
+        U, the basis that the covariances were reduced with.
+    relative_sd : ndarray, shape (n_record, n_beam)
+        t.
+
+    Returns
+    -------
+    noise : ReducedRecordNoise
+        With C' = C + t tᵀ in place of C.
+    """
+    seen = relative_sd @ left
+    return replace(
+        noise,
+        covariance=noise.covariance + seen[:, :, None] * seen[:, None, :],
+        log_variance=noise.log_variance + relative_sd**2,
     )
 
 

@@ -169,8 +169,11 @@ def _key_numbers(found: ReportData, scan: str) -> str:
     noise = found.run.get("noise")
     if isinstance(noise, dict) and "turbulence" in noise:
         entries.append(("Noise", f"{noise.get('method', '')}, {noise['turbulence']}"))
-    if words := (found.run.get("length_scale") or {}).get("words"):
-        entries.append(("Length scale", str(words).removeprefix("length scale ").removeprefix("length scale: ")))
+    of_spectra = found.run.get("length_scale") or {}
+    for title, said in (("Length scale", of_spectra.get("words")), ("Instrument noise", of_spectra.get("noise_words"))):
+        if said:
+            start = title.lower()
+            entries.append((title, str(said).removeprefix(f"{start} ").removeprefix(f"{start}: ")))
     return pairs(entries, "key-numbers")
 
 

@@ -1,6 +1,8 @@
-"""The likelihood of ln L given the octaves of a record's variances: a look-up in tables of a scan."""
+"""The likelihood of ln L and of instrument noise given the octaves of a record's variances: a look-up in tables."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,25 +11,15 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.spectra.octave_information import Information
 from bayes_rs.spectra.octave_theory import OctaveTheory, length_nodes
 
-NOISE_PARTS = np.array([0.0, 0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97])
-"""Instrument noise over the most that the finest octaves leave for it: what the likelihood is averaged over."""
-NOISE_SHARE = 0.02
-"""Share of a variance below which all shares of noise are as likely a priori; above, those of all sizes are."""
-_FINEST = 2  # octaves that bound the noise
+MOST_SHARE = 0.97
+"""Largest share of a beam's variance that is taken for the instrument's noise."""
 _LEAST = 1e-9  # of a beam's variance: octaves that are nothing but rounding
 _RECORDS = 256  # at a time
 
 
-def length_likelihood(
-    energy: FloatArray,
-    count: FloatArray,
-    used: NDArray[np.bool_],
-    wind_speed: FloatArray,
-    yaw: FloatArray,
-    theory: OctaveTheory,
-    information: Information,
-) -> FloatArray:
-    r"""Return the log-likelihood of ln L of records, less its maximum.
+@dataclass(frozen=True, eq=False)
+class Octaves:
+    """The octaves of records' variances, with what they are compared with.
 
     Parameters
     ----------
@@ -43,77 +35,111 @@ def length_likelihood(
         Expected octaves of these beams.
     information : Information
         What they tell of L.
+    """
+
+    energy: FloatArray
+    count: FloatArray
+    used: NDArray[np.bool_]
+    wind_speed: FloatArray
+    yaw: FloatArray
+    theory: OctaveTheory
+    information: Information
+
+    def __len__(self) -> int:
+        """Return the number of records."""
+        return len(self.energy)
+
+    def take(self, rows: NDArray[np.int64] | slice) -> Octaves:
+        """Return some of the records."""
+        own = [f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)]
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
+
+    @property
+    def variance(self) -> FloatArray:
+        """The mean variance of each record's sound beams, m² s⁻²; NaN where there is none."""
+        total = np.sum(self.energy, axis=-1)
+        sound = self._sound(total)
+        many = np.count_nonzero(sound, axis=1)
+        mean = np.sum(np.where(sound, total, 0.0), axis=1) / np.maximum(many, 1)
+        return np.asarray(np.where(many > 0, mean, np.nan))
+
+    def _sound(self, total: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(self.used & np.isfinite(total) & (total > 0.0))
+
+    def log_likelihood(self, share: FloatArray) -> FloatArray:
+        r"""Return the log-likelihood of ln L and the instrument's noise.
+
+        Parameters
+        ----------
+        share : ndarray, shape (n_record, n_noise)
+            Noise variances over each record's `variance`.
+
+        Returns
+        -------
+        log_density : ndarray, shape (n_record, n_noise, n_length)
+            At `length_nodes`; constant where no beam tells anything.
+
+        Notes
+        -----
+        An octave of ν differences of expectation A_b ((1 − q) e_l + q w_l), e from theory and w that of white noise,
+        each of sum 1, is taken for that times χ²_ν/ν. The size A_b of each beam is maximised over, so that R has no
+        influence but through its anisotropy; the instrument's noise is the same for all beams. The sum over beams and
+        octaves is raised to the power of `octave_information` at its own maximum.
+        """
+        nodes = length_nodes()
+        found = np.empty((*share.shape, len(nodes)))
+        for first in range(0, len(self), _RECORDS):
+            rows = slice(first, first + _RECORDS)
+            some = self.take(rows)
+            independent = some._independent(share[rows])
+            best = nodes[np.argmax(independent.max(axis=1), axis=-1)]
+            power = self.information.at(best, some.wind_speed)
+            found[rows] = power[:, np.newaxis, np.newaxis] * independent
+        return found
+
+    def _independent(self, share: FloatArray) -> FloatArray:
+        """Return the log-likelihood as if octaves and beams were independent, shape (n_record, n_noise, n_length)."""
+        theory = self.theory
+        n_sample = theory.blocks.n_sample
+        filled = theory.blocks.filled(np.clip(self.count / n_sample, 1.0 / n_sample, 1.0))
+        dof = np.diff(filled)  # (n_record, n_beam, n_octave)
+        white = (dof / dof.sum(axis=-1, keepdims=True))[:, :, np.newaxis]
+        shape = theory.expected(theory.correlation(self.wind_speed, self.yaw), filled[:, :, np.newaxis])
+        shape /= shape.sum(axis=-1, keepdims=True)  # of the variance of a record, without what is slower than it
+        total = np.sum(self.energy, axis=-1)
+        sound = self._sound(total)
+        half = np.where(sound[..., np.newaxis], 0.5 * dof, 0.0)
+        all_half = half.sum(axis=-1)
+        relative = np.where(sound[..., np.newaxis], self.energy / np.where(sound, total, 1.0)[..., np.newaxis], 0.0)
+        weighted = half * relative
+        of_beam = np.nan_to_num(self.variance)[:, np.newaxis] / np.where(sound, total, 1.0)
+        density = np.empty((*share.shape, shape.shape[2]))
+        for index in range(share.shape[1]):
+            part = np.clip(share[:, index, np.newaxis] * of_beam, 0.0, MOST_SHARE)[..., np.newaxis, np.newaxis]
+            mean = np.maximum((1.0 - part) * shape + part * white, _LEAST)  # (…, n_length, n_octave)
+            size = np.einsum("rbo,rbno->rbn", weighted, np.reciprocal(mean))
+            log_size = np.log(np.where(sound[..., np.newaxis], size, 1.0))
+            log_mean = np.einsum("rbo,rbno->rbn", half, np.log(mean))
+            density[:, index] = -np.sum(log_mean + all_half[..., np.newaxis] * log_size, axis=1)
+        return density
+
+
+def averaged(log_density: FloatArray, log_weight: FloatArray) -> FloatArray:
+    """Return the log-likelihood of ln L, less its maximum, averaged over noise.
+
+    Parameters
+    ----------
+    log_density : ndarray, shape (n_record, n_noise, n_length)
+        From `Octaves.log_likelihood`.
+    log_weight : ndarray, shape (n_noise,) or (n_record, n_noise)
+        Logarithms of the weights.
 
     Returns
     -------
     log_density : ndarray, shape (n_record, n_length)
-        At `length_nodes`; zero everywhere where no beam tells anything.
-
-    Notes
-    -----
-    An octave of ν differences of expectation A_b (e_l + r w_l), e from theory and w that of white noise, is taken for
-    A (e + r w) χ²_ν/ν. The size A_b of each beam is maximised over, so that R has no influence but through its
-    anisotropy; the instrument's noise, the same for all beams, is averaged over a prior 1/(q + 0.02) of its share q of
-    the variance. The sum over beams
-    and octaves is raised to the power of `octave_information` at its own maximum.
+        Zero everywhere where no beam tells anything.
     """
-    nodes = length_nodes()
-    found = np.zeros((len(energy), len(nodes)))
-    for first in range(0, len(energy), _RECORDS):
-        rows = slice(first, first + _RECORDS)
-        by_noise, prior = _independent(energy[rows], count[rows], used[rows], wind_speed[rows], yaw[rows], theory)
-        best = nodes[np.argmax(_averaged(by_noise, prior), axis=-1)]
-        power = information.at(best, wind_speed[rows])
-        density = _averaged(power[:, np.newaxis, np.newaxis] * by_noise, prior)
-        found[rows] = density - density.max(axis=-1, keepdims=True)
-    return found
-
-
-def _averaged(density: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood (n_record, n_length) averaged over the noise, of (n_record, n_noise, n_length)."""
-    joint = density + prior[..., np.newaxis]
+    joint = log_density + log_weight[..., np.newaxis]
     top = joint.max(axis=1, keepdims=True)
-    return np.asarray(np.log(np.sum(np.exp(joint - top), axis=1)) + top[:, 0])
-
-
-def _independent(
-    energy: FloatArray,
-    count: FloatArray,
-    used: NDArray[np.bool_],
-    wind_speed: FloatArray,
-    yaw: FloatArray,
-    theory: OctaveTheory,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the log-likelihood as if octaves and beams were independent, (n_record, n_noise, n_length), and a prior.
-
-    The prior is that of the noise, (n_record, n_noise).
-    """
-    n_sample = theory.blocks.n_sample
-    share = np.clip(count / n_sample, 1.0 / n_sample, 1.0)
-    filled = theory.blocks.filled(share)
-    dof = np.diff(filled)  # (n_record, n_beam, n_octave)
-    white = dof / filled[..., -1:]
-    shape = theory.expected(theory.correlation(wind_speed, yaw), filled[:, :, np.newaxis])
-    total = np.sum(energy, axis=-1)
-    sound = used & np.isfinite(total) & (total > 0.0)
-    half = np.where(sound[..., np.newaxis], 0.5 * dof, 0.0)
-    all_half = half.sum(axis=-1)
-    relative = np.where(sound[..., np.newaxis], energy / np.where(sound, total, 1.0)[..., np.newaxis], 0.0)
-    weighted = half * relative
-    fine = np.where(sound[..., np.newaxis], energy, 0.0)[..., -_FINEST:].sum(axis=(1, 2))
-    room = np.where(sound[..., np.newaxis], white, 0.0)[..., -_FINEST:].sum(axis=(1, 2))
-    most = fine / np.maximum(room, _LEAST)  # m² s⁻²: if the finest octaves were nothing but noise
-    density = np.empty((len(energy), len(NOISE_PARTS), shape.shape[2]))
-    prior = np.empty((len(energy), len(NOISE_PARTS)))
-    usual = np.sum(np.where(sound, total, 0.0), axis=1) / np.maximum(np.count_nonzero(sound, axis=1), 1)
-    for index, (part, width) in enumerate(zip(NOISE_PARTS, np.gradient(NOISE_PARTS), strict=True)):
-        noise = np.clip(part * most[:, np.newaxis] / np.where(sound, total, 1.0), 0.0, 0.95)[
-            ..., np.newaxis, np.newaxis
-        ]
-        mean = np.maximum((1.0 - noise) * shape + noise * white[:, :, np.newaxis], _LEAST)  # (…, n_length, n_octave)
-        prior[:, index] = np.log(width / (part * most / np.maximum(usual, _LEAST) + NOISE_SHARE))
-        size = np.einsum("rbo,rbno->rbn", weighted, np.reciprocal(mean))
-        log_size = np.log(np.where(sound[..., np.newaxis], size, 1.0))
-        log_mean = np.einsum("rbo,rbno->rbn", half, np.log(mean))
-        density[:, index] = -np.sum(log_mean + all_half[..., np.newaxis] * log_size, axis=1)
-    return density, prior
+    found = np.log(np.sum(np.exp(joint - top), axis=1)) + top[:, 0]
+    return np.asarray(found - found.max(axis=-1, keepdims=True))

@@ -1,17 +1,17 @@
-"""The length scale of records from the octaves of their variances: what `fit` makes their noise for."""
+"""The length scale of records, and the instrument's noise in them, from the octaves of their variances."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import erf
+from scipy.special import erf, logsumexp
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
@@ -19,13 +19,16 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.records.making import OCTAVES
 from bayes_rs.spectra.octave_information import octave_information
-from bayes_rs.spectra.octave_likelihood import length_likelihood
+from bayes_rs.spectra.octave_likelihood import Octaves, averaged
 from bayes_rs.spectra.octave_theory import MOST_BEAMS, OctaveTheory, chosen_beams, length_nodes, octave_theory
 from bayes_rs.spectra.pooled_lengths import PRIOR_LOG_SD, PRIOR_MEDIAN, pool_lengths
+from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, TELLS, pool_noise
 from bayes_rs.turbulence.mann import load_turbulence
 
 REPORT = "length_scale_report"
 """Attribute of records, JSON, that says where their length scale comes from."""
+GAMMA = 3.2
+"""Anisotropy Γ of the turbulence that the octaves are compared with."""
 USUAL = "fu-2022"
 """Turbulence whose anisotropy stands for that of the records."""
 _NAMES = ("length_scale", "length_scale_log_sd")
@@ -33,6 +36,7 @@ _HALF = np.log(1.5)  # other length scales than by half are not worth a word
 _TELLS = 1.0  # decrease of the log-likelihood from its maximum to the ends, below which a record tells nothing
 _SAMPLES_OFF = 1.3  # samples over what the scan gives, above which its times are not those of the scan
 _MOST_PASSES = 6  # in which unsteady records are left out
+_NOISE, _NOISE_SD = "instrument_noise", "instrument_noise_sd"
 _USED = 0.2  # share of records that a beam must be used in, to be looked at
 
 
@@ -41,10 +45,11 @@ def with_own_length_scale(
     scan: Scan | str | Path,
     *,
     length_scale_prior: tuple[float, float] = (PRIOR_MEDIAN, PRIOR_LOG_SD),
-    gamma: float = 3.2,
+    gamma: float = GAMMA,
+    instrument_noise: float | str = "records",
     unsteady: Callable[[xr.Dataset], NDArray[np.bool_]] | None = None,
 ) -> xr.Dataset:
-    """Return records with the length scale that the octaves of their variances tell, pooled over the records.
+    """Return records with the length scale and the instrument noise that the octaves of their variances tell.
 
     Parameters
     ----------
@@ -56,6 +61,9 @@ def with_own_length_scale(
         Median of the length scale L, m, and standard deviation of ln L, of a record of an unknown campaign.
     gamma : float
         Anisotropy parameter Γ.
+    instrument_noise : float or str
+        Variance of the instrument's noise, m² s⁻², where it is known; ``"records"``: what the records hold, or, where
+        they hold none, what their octaves tell.
     unsteady : callable, optional
         Takes records with length scales, and returns which of them, shape (n_record,), change by more than eddies.
         Their spectra tell nothing, and the length scales are found anew, until no more records are found.
@@ -63,8 +71,10 @@ def with_own_length_scale(
     Returns
     -------
     records : xarray.Dataset
-        With ``length_scale`` (record), m, posterior medians, and ``length_scale_log_sd`` (record). The attribute
-        ``length_scale_report`` counts in JSON the records that tell something, and says what their distribution is.
+        With ``length_scale`` (record), m, posterior medians, and ``length_scale_log_sd`` (record); and, where the
+        records tell their noise to 5 % of their variance, with ``instrument_noise`` and ``instrument_noise_sd``
+        (record, beam), m² s⁻². The attribute ``length_scale_report`` counts in JSON the records that tell something,
+        and says what their distribution is.
 
     Raises
     ------
@@ -73,8 +83,10 @@ def with_own_length_scale(
 
     Notes
     -----
-    A look-up in tables that are made once for a scan: `octave_theory`, `length_likelihood`, `pool_lengths`. Where the
-    samples cannot tell, as 20 in ten minutes, the prior's width stays, narrowed by the other records only.
+    A look-up in tables that are made once for a scan: `octave_theory`, `Octaves`, `pool_noise`, `pool_lengths`. Where
+    the samples cannot tell, as 20 in ten minutes, the prior's width stays, narrowed by the other records only. What
+    looks like noise because the air's spectrum has another shape than the theory's was 1 % of the variance in eleven
+    kinds of air (root mean square; 2 % at most): its standard deviation is in that of the noise.
 
     Examples
     --------
@@ -85,19 +97,95 @@ def with_own_length_scale(
     True
     """
     of_records = as_scan(scan).select(records["beam"].values)
-    log_density = _log_densities(records, of_records, gamma)
-    found = _pooled(records, log_density, length_scale_prior, 0)
-    if unsteady is None or not log_density.any():
-        return found
-    left_out: NDArray[np.bool_] = np.zeros(len(log_density), dtype=bool)
-    for _ in range(_MOST_PASSES):
-        more = unsteady(found) & ~left_out
-        if not more.any():
-            break
-        left_out |= more
-        log_density[more] = 0.0
-        found = _pooled(records, log_density, length_scale_prior, int(left_out.sum()))
-    return found
+    known = _known_noise(records, instrument_noise)
+    prior = (float(length_scale_prior[0]), float(length_scale_prior[1]))
+    rows, octaves = _octaves(records, of_records, gamma)
+    log_density = np.zeros((records.sizes["record"], len(length_nodes())))
+    told: _Noise | None = None
+    if octaves is not None:
+        if known is None:
+            told = _Noise.of(rows, octaves, prior)
+            log_density[rows] = averaged(told.log_density, told.log_weight)
+        else:
+            share = known[rows] / octaves.variance
+            log_density[rows] = averaged(octaves.log_likelihood(np.nan_to_num(share)[:, np.newaxis]), np.zeros(1))
+    found = _pooled(records, log_density, prior, 0)
+    if unsteady is not None and log_density.any():
+        left_out: NDArray[np.bool_] = np.zeros(len(log_density), dtype=bool)
+        for _ in range(_MOST_PASSES):
+            more = unsteady(found) & ~left_out
+            if not more.any():
+                break
+            left_out |= more
+            log_density[more] = 0.0
+            found = _pooled(records, log_density, prior, int(left_out.sum()))
+    return found if told is None else told.given_to(found)
+
+
+def _known_noise(records: xr.Dataset, instrument_noise: float | str) -> FloatArray | None:
+    """Return the instrument's noise in each record, (n_record,), m² s⁻²; None if it is to be told by the records."""
+    if not isinstance(instrument_noise, str):
+        return np.full(records.sizes["record"], float(instrument_noise))
+    if _NOISE not in records:
+        return None
+    own: FloatArray = np.asarray(records[_NOISE].values, dtype=np.float64)
+    used = (records["flag"].values == 0) & np.isfinite(own)
+    count = np.maximum(np.count_nonzero(used, axis=1), 1)
+    return np.asarray(np.sum(np.where(used, own, 0.0), axis=1) / count)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """The instrument's noise in records whose octaves are looked at: nodes of its share of the variance."""
+
+    rows: NDArray[np.int64]
+    variance: FloatArray
+    share: FloatArray
+    log_weight: FloatArray
+    log_density: FloatArray
+    power: float
+
+    @classmethod
+    def of(cls, rows: NDArray[np.int64], octaves: Octaves, prior: tuple[float, float]) -> _Noise:
+        pooled = pool_noise(octaves, median=prior[0], log_sd=prior[1])
+        share, log_weight = pooled.nodes()
+        return cls(rows, octaves.variance, share, log_weight, octaves.log_likelihood(share), pooled.power)
+
+    def given_to(self, records: xr.Dataset) -> xr.Dataset:
+        """Return records with their length scales with the noise, too, and words on it."""
+        report = json.loads(records.attrs[REPORT])
+        speed = np.asarray(records["wind_speed"].values, dtype=np.float64)[self.rows]
+        centre = np.log(report["length_scale"]) + report["slope"] * np.log(speed / report["wind_speed"])
+        width = np.hypot(report["spread"], report["log_sd"])
+        log_length = -0.5 * ((length_nodes() - centre[:, np.newaxis]) / width) ** 2
+        log_weight = self.log_weight + logsumexp(self.log_density + log_length[:, np.newaxis], axis=2)
+        weight = np.exp(log_weight - logsumexp(log_weight, axis=1, keepdims=True))
+        share = np.sum(weight * self.share, axis=1)
+        sd = np.sqrt(np.sum(weight * (self.share - share[:, np.newaxis]) ** 2, axis=1))
+        told = bool(np.median(sd) < TELLS)
+        report["noise"] = {"told": told, "share": float(np.median(share)), "share_sd": float(np.median(sd))}
+        report["noise"]["power"] = self.power
+        found = records
+        if told:
+            size = np.nanmean(np.where(records["flag"].values == 0, records["variance"].values, np.nan), axis=1)
+            size[self.rows] = np.where(np.isfinite(self.variance), self.variance, size[self.rows])
+            noise, noise_sd = np.zeros(len(size)), np.zeros(len(size))
+            noise[self.rows] = share * size[self.rows]
+            noise_sd[self.rows] = np.hypot(sd, SHAPE_ERROR) * size[self.rows]
+            report["noise"]["sd"] = float(np.sqrt(np.median(noise[self.rows])))
+            both, beams = ("record", "beam"), records.sizes["beam"]
+            found = records.assign(
+                {
+                    _NOISE: (
+                        both,
+                        np.repeat(noise[:, np.newaxis], beams, axis=1),
+                        {"units": "m2 s-2", "long_name": "variance of the instrument's noise"},
+                    ),
+                    _NOISE_SD: (both, np.repeat(noise_sd[:, np.newaxis], beams, axis=1), {"units": "m2 s-2"}),
+                }
+            )
+        report["noise_words"] = _noise_in_words(report["noise"])
+        return found.assign_attrs({REPORT: json.dumps(report)})
 
 
 def _pooled(records: xr.Dataset, log_density: FloatArray, prior: tuple[float, float], n_unsteady: int) -> xr.Dataset:
@@ -126,7 +214,36 @@ def _pooled(records: xr.Dataset, log_density: FloatArray, prior: tuple[float, fl
     ).assign_attrs({REPORT: json.dumps(report)})
 
 
-def compared_length_scale(records: xr.Dataset, scan: Scan | str | Path, length_scale: float) -> xr.Dataset:
+def with_told_noise(records: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
+    """Return records with the instrument noise that their octaves tell, and their length scale as it was.
+
+    Parameters
+    ----------
+    records : xarray.Dataset
+        From `make_records`, without ``instrument_noise``.
+    scan : Scan, str or Path
+        The scan that measured them.
+
+    Returns
+    -------
+    records : xarray.Dataset
+        As `with_own_length_scale`, of whose report only the noise is left; unchanged if no octaves can be looked at.
+    """
+    if _octaves(records, as_scan(scan).select(records["beam"].values), GAMMA)[1] is None:
+        return records
+    own = with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan)
+    report = json.loads(own.attrs[REPORT])
+    kept = {name: report[name] for name in ("noise", "noise_words")}
+    return _with_noise_of(records, own).assign_attrs({REPORT: json.dumps(kept)})
+
+
+def _with_noise_of(records: xr.Dataset, own: xr.Dataset) -> xr.Dataset:
+    return records.assign({name: own[name] for name in (_NOISE, _NOISE_SD) if name in own})
+
+
+def compared_length_scale(
+    records: xr.Dataset, scan: Scan | str | Path, length_scale: float, *, instrument_noise: float | str = "records"
+) -> xr.Dataset:
     """Return records that say whether the length scale of their spectra contradicts that of given noise.
 
     Parameters
@@ -137,17 +254,19 @@ def compared_length_scale(records: xr.Dataset, scan: Scan | str | Path, length_s
         The scan that measured them.
     length_scale : float
         L that the noise is made for, m.
+    instrument_noise : float or str
+        As for `with_own_length_scale`.
 
     Returns
     -------
     records : xarray.Dataset
         With ``spectral_length_scale`` (record), m, ``spectral_length_scale_log_sd``, and ``other_length_scale``
         (record), whether that is another one: by two standard deviations and by at least half of it. Unchanged if the
-        records tell nothing. Its report holds ``noise_length_scale`` and ``coverage``, what 90 % intervals hold
-        where the data decide: 2Φ(1.645/r) − 1 with r² the relative variance of a variance at the records' L over that
-        at the noise's, by theory for the middle beam.
+        records tell nothing. With the instrument's noise, as from `with_own_length_scale`. The report holds
+        ``noise_length_scale`` and ``coverage``, what 90 % intervals hold where the data decide: 2Φ(1.645/r) − 1 with r²
+        the relative variance of a variance at the records' L over that at the noise's, by theory for the middle beam.
     """
-    own = with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan)
+    own = with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan, instrument_noise=instrument_noise)
     report = json.loads(own.attrs[REPORT])
     if report["n_told"] == 0:
         return records
@@ -159,11 +278,15 @@ def compared_length_scale(records: xr.Dataset, scan: Scan | str | Path, length_s
     if report["contradicts"]:
         report["coverage"] = _coverage(records, as_scan(scan), length_scale, report)
     report["words"] = _in_words(report)
-    return records.assign(
-        spectral_length_scale=own["length_scale"],
-        spectral_length_scale_log_sd=own["length_scale_log_sd"],
-        other_length_scale=("record", other.astype(np.int8)),
-    ).assign_attrs({REPORT: json.dumps(report)})
+    return (
+        _with_noise_of(records, own)
+        .assign(
+            spectral_length_scale=own["length_scale"],
+            spectral_length_scale_log_sd=own["length_scale_log_sd"],
+            other_length_scale=("record", other.astype(np.int8)),
+        )
+        .assign_attrs({REPORT: json.dumps(report)})
+    )
 
 
 def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict[str, Any]) -> float:
@@ -181,6 +304,22 @@ def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict
 def length_words(records: xr.Dataset) -> str:
     """Say in one line which length scale records have, and where it comes from; empty if there is nothing to say."""
     return str(json.loads(records.attrs.get(REPORT, "{}")).get("words", ""))
+
+
+def noise_words(records: xr.Dataset) -> str:
+    """Say in one line which instrument noise the records' octaves tell; empty if that was not asked of them."""
+    return str(json.loads(records.attrs.get(REPORT, "{}")).get("noise_words", ""))
+
+
+def _noise_in_words(noise: dict[str, Any]) -> str:
+    if not noise["told"]:
+        return "instrument noise: the records do not tell it, and none is taken off their variances"
+    if noise["share"] < SHAPE_ERROR:
+        return f"instrument noise from the spectra: less than {100.0 * SHAPE_ERROR:.0f} % of the variances"
+    return (
+        f"instrument noise from the spectra: {noise['sd']:.2g} m/s, {100.0 * noise['share']:.1f} % of the variance "
+        f"(known to {100.0 * np.hypot(noise['share_sd'], SHAPE_ERROR):.1f} %); it is taken off"
+    )
 
 
 def _in_words(report: dict[str, Any]) -> str:
@@ -213,28 +352,28 @@ def _ends(median: float, log_sd: float) -> tuple[float, float]:
     return median * np.exp(-1.645 * log_sd), median * np.exp(1.645 * log_sd)
 
 
-def _log_densities(records: xr.Dataset, scan: Scan, gamma: float) -> FloatArray:
-    """Return the log-likelihoods of ln L of all records; zero where nothing is told."""
-    none = np.zeros((records.sizes["record"], len(length_nodes())))
+def _octaves(records: xr.Dataset, scan: Scan, gamma: float) -> tuple[NDArray[np.int64], Octaves | None]:
+    """Return which records' octaves are looked at, and these; None where nothing is told."""
+    nothing: NDArray[np.int64] = np.empty(0, dtype=np.int64)
     if OCTAVES not in records or records[OCTAVES].dims != ("record", "beam", "octave") or "count" not in records:
-        return none
+        return nothing, None
     used = np.asarray(records["flag"].values == 0)
     speed, yaw = (np.asarray(records[name].values, dtype=np.float64) for name in ("wind_speed", "yaw"))
     known = np.isfinite(speed) & (speed > 0.0) & np.isfinite(yaw) & used.any(axis=1)
     if not known.any():
-        return none
+        return nothing, None
     often = np.flatnonzero(used[known].mean(axis=0) > _USED)
     beams = often[chosen_beams(len(often), MOST_BEAMS)] if len(often) else often
     if len(beams) == 0:
-        return none
+        return nothing, None
     rows = np.flatnonzero(known)
     angle = np.angle(np.exp(1j * np.deg2rad(yaw[rows])))
     duration = float(records.attrs.get("duration", 600.0))
     theory = octave_theory(scan.select(scan.beam[beams]), duration, gamma, yaw=(float(angle.min()), float(angle.max())))
     count = records["count"].values[np.ix_(rows, beams)]
     if not _same_times(records, theory, count, used[np.ix_(rows, beams)]):
-        return none
-    none[rows] = length_likelihood(
+        return nothing, None
+    return rows, Octaves(
         records[OCTAVES].values[np.ix_(rows, beams)].astype(np.float64),
         count.astype(np.float64),
         used[np.ix_(rows, beams)],
@@ -243,7 +382,6 @@ def _log_densities(records: xr.Dataset, scan: Scan, gamma: float) -> FloatArray:
         theory,
         octave_information(theory, duration),
     )
-    return none
 
 
 def _same_times(records: xr.Dataset, theory: OctaveTheory, count: FloatArray, used: NDArray[np.bool_]) -> bool:

@@ -1,0 +1,160 @@
+"""The instrument's noise in many records, from what their finest octaves say together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.spectra.octave_likelihood import Octaves
+from bayes_rs.spectra.octave_theory import length_nodes
+
+MOST_RECORDS = 200
+"""Records that the noise of all is told from, evenly chosen: more tell it no better than the theory's shape is true."""
+SHAPE_ERROR = 0.01
+"""Standard deviation of what a spectrum of another shape makes look like noise, over the variance; measured in the air
+of eleven kinds without any (docs/spectra.md)."""
+TELLS = 0.05
+"""Standard deviation of a record's noise over its variance above which the records do not tell it."""
+_SHARES = np.log([0.001, 0.95])  # of a record's variance
+_NODE, _FINE = 0.25, 0.05  # steps of ln share at which the likelihood is calculated, and summed
+_COARSE = 0.4  # step of the median share that is refined
+_POWERS = np.array([0.0, 0.5, 1.0])  # of the variance that noise grows with
+_SPREADS = np.array([0.1, 0.3, 0.7])  # of ln noise, from record to record
+_LENGTH_FINE = 0.1  # step of ln L
+_LENGTH_SPREADS = np.array([0.1, 0.3, 0.7])  # of ln L
+_SCALE = 0.3  # m/s; half-normal: most lidars' noise is less
+_SHARE = 0.02  # of the variance: shares of noise below it are as likely a priori, above those of all sizes are
+_LIGHT = 1e-4
+_ROOTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+
+
+@dataclass(frozen=True)
+class PooledNoise:
+    """What the records together say of the noise of each: normal distributions of the logarithm of its share.
+
+    Parameters
+    ----------
+    log_share, log_sd : ndarray, shape (n_record,)
+        Means and standard deviations of the logarithm of noise over the record's variance; what the record itself
+        tells is not in it.
+    power : float
+        Of the variance that noise grows with, posterior mean.
+    """
+
+    log_share: FloatArray
+    log_sd: FloatArray
+    power: float
+
+    def nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Return shares (n_record, n_node) and the logarithms of their weights (n_node,)."""
+        share = np.exp(self.log_share[:, np.newaxis] + self.log_sd[:, np.newaxis] * _ROOTS)
+        return np.minimum(share, np.exp(_SHARES[1])), np.log(_WEIGHTS / _WEIGHTS.sum())
+
+
+def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise:
+    r"""Return what the records of a campaign say of each one's instrument noise.
+
+    Parameters
+    ----------
+    octaves : Octaves
+        Of all records.
+    median, log_sd : float
+        The prior of L of a single record, m and 1.
+
+    Returns
+    -------
+    pooled : PooledNoise
+        For records that are not looked at, too.
+
+    Notes
+    -----
+    The noise variance s of a record of variance V is log-normal,
+
+    .. math:: \ln s_k \sim N(\ln s_0 + κ \ln(V_k / \bar V), τ^2) .
+
+    κ is 0 for noise that is the same in all air, and up to 1 for that of lidars whose spectra broaden with the
+    turbulence. Hyperparameters κ, τ and s₀, and the median and spread of ln L, which noise can be mistaken for, are
+    summed over a grid: none is plugged in. A priori the share q of the variance has the density 1/(q + 0.02), and s₀
+    is below (0.3 m/s)² in two of three campaigns. A record's own distribution leaves out what it tells itself.
+    """
+    variance = octaves.variance
+    known = np.flatnonzero(np.isfinite(variance))
+    log_size = np.log(variance / np.exp(np.mean(np.log(variance[known])))) if len(known) else np.zeros(len(variance))
+    rows = known[np.unique(np.linspace(0, len(known) - 1, min(MOST_RECORDS, len(known))).round().astype(np.int64))]
+    size = np.nan_to_num(log_size)
+    node, fine = _steps(_SHARES, _NODE), _steps(_SHARES, _FINE)
+    some = octaves.take(rows)
+    density = some.log_likelihood(np.broadcast_to(np.exp(node), (len(rows), len(node))))
+    length = _steps(length_nodes()[[0, -1]], _LENGTH_FINE)
+    density = CubicSpline(length_nodes(), CubicSpline(node, density, axis=1)(fine), axis=2)(length)
+    density = np.exp(density - density.max(axis=(1, 2), keepdims=True))
+    usual = float(np.exp(np.mean(np.log(variance[rows])))) if len(rows) else 1.0
+    lengths = _length_hypers(length, median, log_sd)
+
+    centre, power, spread = (
+        axis.ravel() for axis in np.meshgrid(_steps(_SHARES, _COARSE), _POWERS, _SPREADS, indexing="ij")
+    )
+    weight, own = _posterior(density, fine, size[rows], (centre, power, spread), lengths, usual)
+    share = weight @ centre
+    width = max(float(np.sqrt(weight @ (centre - share) ** 2)), _COARSE / 2.0)
+    if width < 2.0 * _COARSE:  # told: look closer
+        both = np.unique(np.column_stack([power, spread])[weight > _LIGHT], axis=0)
+        at = np.clip(np.linspace(share - 4.0 * width, share + 4.0 * width, 41), *_SHARES)
+        at = np.unique(at)
+        centre = np.repeat(at, len(both))
+        power, spread = np.tile(both, (len(at), 1)).T
+        weight, own = _posterior(density, fine, size[rows], (centre, power, spread), lengths, usual)
+    weights = np.broadcast_to(weight, (len(size), len(weight))).copy()
+    weights[rows] = own
+    expected = centre + (power - 1.0) * size[:, np.newaxis]
+    mean = np.sum(weights * expected, axis=1)
+    square = np.sum(weights * (spread**2 + (expected - mean[:, np.newaxis]) ** 2), axis=1)
+    return PooledNoise(mean, np.sqrt(square), float(weight @ power))
+
+
+def _steps(ends: FloatArray, step: float) -> FloatArray:
+    """Return evenly spaced numbers from end to end, the step or a little less apart."""
+    return np.asarray(np.linspace(ends[0], ends[1], int(np.ceil((ends[1] - ends[0]) / step)) + 1))
+
+
+def _length_hypers(node: FloatArray, median: float, log_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Return distributions of ln L at nodes, (n_hyper, n_length), and the logarithms of their weights."""
+    centre, spread = (axis.ravel() for axis in np.meshgrid(node[4:-4], _LENGTH_SPREADS, indexing="ij"))
+    density = np.exp(-0.5 * ((node - centre[:, np.newaxis]) / spread[:, np.newaxis]) ** 2)
+    width = np.sqrt(np.maximum(log_sd**2 - spread**2, 0.25 * log_sd**2))
+    return density / density.sum(axis=1, keepdims=True), -0.5 * ((centre - np.log(median)) / width) ** 2 - np.log(width)
+
+
+def _posterior(
+    density: FloatArray,
+    fine: FloatArray,
+    size: FloatArray,
+    hyper: tuple[FloatArray, FloatArray, FloatArray],
+    lengths: tuple[FloatArray, FloatArray],
+    usual: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of hyperparameters, (n_hyper,), and without each record, (n_record, n_hyper)."""
+    centre, power, spread = hyper
+    of_length, log_prior_of_length = lengths
+    share = np.exp(centre)
+    log_prior = np.log(share / (share + _SHARE)) - 0.5 * share * usual / _SCALE**2
+    total = log_prior[:, np.newaxis] + log_prior_of_length  # (n_hyper, n_length_hyper)
+    evidence: list[FloatArray] = []
+    for one, at in zip(density, size, strict=True):
+        expected = centre + (power - 1.0) * at
+        prior = np.exp(-0.5 * ((fine - expected[:, np.newaxis]) / spread[:, np.newaxis]) ** 2)
+        prior /= np.maximum(prior.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        evidence.append(np.log(np.maximum(prior @ one @ of_length.T, np.finfo(np.float64).tiny)))
+        total = total + evidence[-1]
+    weight = _normalised(total)
+    own = [_normalised(total - one) for one in evidence]
+    return weight, np.array(own).reshape(len(own), len(centre))
+
+
+def _normalised(log_weight: FloatArray) -> FloatArray:
+    of_hyper = logsumexp(log_weight, axis=1)
+    return np.asarray(np.exp(of_hyper - logsumexp(of_hyper)))

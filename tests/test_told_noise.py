@@ -1,0 +1,193 @@
+"""The instrument's noise that the octaves of records tell: how well, what is said of it, and what a fit makes of it."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import bayes_rs as brs
+from bayes_rs.campaign.table import campaign_table
+from bayes_rs.likelihoods.reduced_noise import ReducedRecordNoise
+from bayes_rs.likelihoods.scattered import shifted, shifted_reduced
+from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, pool_noise
+from bayes_rs.spectra.record_lengths import REPORT, _octaves, noise_words, with_own_length_scale, with_told_noise
+
+FLOW = brs.load_turbulence("fu-2022")
+SIX = brs.load_scan("6-beam@opening_angle_deg=45,focus_distance=52")
+
+
+def simulated(length_scale=61.0, noise=0.0, *, scan=SIX, n_records=40, seed=5, size=None):
+    """Return records whose samples have white noise of this variance, and sizes of their own."""
+    flow = replace(FLOW, length_scale=length_scale)
+    series = brs.simulate(scan, flow, wind_speed=9.0, n_records=n_records, seed=seed)
+    rng = np.random.default_rng(seed)
+    velocity = series["radial_velocity"].values.copy()
+    if size is not None:  # of the deviations from the beam's mean, so that the wind stays
+        record = ((series["time"] - series["time"][0]) / np.timedelta64(600, "s")).astype(int).values
+        for beam in np.unique(series["beam"]):
+            own = series["beam"].values == beam
+            velocity[own] += (np.sqrt(size)[record[own]] - 1.0) * (velocity[own] - velocity[own].mean())
+    noisy = series.assign(
+        radial_velocity=("sample", velocity + np.sqrt(noise) * rng.standard_normal(len(velocity))),
+    )
+    return brs.make_records(noisy, scan)
+
+
+def report_of(records):
+    return json.loads(records.attrs[REPORT])
+
+
+class TestRecords:
+    @pytest.mark.parametrize("length_scale", [30.0, 61.0, 200.0])
+    def test_noise_is_found_beside_the_length_scale(self, length_scale):
+        records = simulated(length_scale, 0.09)
+        found = with_own_length_scale(records, SIX)
+        noise, sd = (found[name].values[:, 0] for name in ("instrument_noise", "instrument_noise_sd"))
+        assert noise.mean() == pytest.approx(0.09, abs=0.012)
+        assert np.all(np.abs(noise - 0.09) < 4.0 * sd)
+        assert abs(np.log(report_of(found)["length_scale"] / length_scale)) < 0.25
+        assert "m/s" in noise_words(found)
+        assert "it is taken off" in noise_words(found)
+
+    @pytest.mark.parametrize("length_scale", [15.0, 61.0, 200.0])
+    def test_where_there_is_none_next_to_none_is_found(self, length_scale):
+        found = with_own_length_scale(simulated(length_scale), SIX)
+        share = found["instrument_noise"].mean("beam") / found["variance"].mean("beam")
+        assert float(share.max()) < 0.03
+        assert float(share.mean()) < 0.02
+        # what another shape of spectrum would make look like noise is in its standard deviation
+        own = found["instrument_noise_sd"].mean("beam") / found["variance"].mean("beam")
+        assert np.all(own.values >= 0.9 * SHAPE_ERROR)
+
+    def test_noise_that_grows_with_the_turbulence(self):
+        size = np.geomspace(0.2, 5.0, 60)[np.random.default_rng(1).permutation(60)]
+        plain = simulated(n_records=60, size=size)
+        same = with_own_length_scale(simulated(noise=0.1, n_records=60, size=size), SIX)
+        assert report_of(same)["noise"]["power"] < 0.2
+        assert float(same["instrument_noise"].median()) == pytest.approx(0.1, rel=0.15)
+        # the same samples, each record in another size: its noise is in proportion
+        for name in ("variance", "octave_variance"):
+            plain[name] = simulated(noise=0.1, n_records=60)[name] * size.reshape(-1, *(1,) * (plain[name].ndim - 1))
+        grown = with_own_length_scale(plain, SIX)
+        assert report_of(grown)["noise"]["power"] > 0.8
+        assert np.median(np.abs(np.log(grown["instrument_noise"].values[:, 0] / (0.1 * size)))) < 0.2
+
+    def test_a_record_does_not_tell_itself_twice(self):
+        records = simulated(noise=0.09, n_records=1)
+        alone = pool_noise(_octaves(records, SIX, 3.2)[1], median=61.0, log_sd=0.8)
+        nothing = simulated(n_records=1)
+        assert alone.log_sd[0] > 1.0
+        other = pool_noise(_octaves(nothing, SIX, 3.2)[1], median=61.0, log_sd=0.8)
+        assert alone.log_share[0] == pytest.approx(other.log_share[0], abs=0.1)
+
+    def test_records_that_are_not_looked_at_have_what_the_others_tell(self, monkeypatch):
+        records = simulated(noise=0.09)
+        whole = with_own_length_scale(records, SIX)["instrument_noise"].values[:, 0]
+        monkeypatch.setattr("bayes_rs.spectra.pooled_noise.MOST_RECORDS", 20)
+        half = with_own_length_scale(records, SIX)["instrument_noise"].values[:, 0]
+        np.testing.assert_allclose(half, whole, rtol=0.15)
+
+    def test_too_few_samples_tell_none(self):
+        slow = replace(brs.load_scan("staring"), scan_duration=30.0)
+        records = simulated(noise=0.3, scan=slow)
+        found = with_own_length_scale(records, slow)
+        assert "instrument_noise" not in found
+        assert "do not tell it, and none is taken off" in noise_words(found)
+
+    def test_noise_that_is_known_is_not_looked_for(self):
+        records = simulated(100.0, 0.2)
+        for given in ({"instrument_noise": 0.2}, {}):
+            own = records if given else records.assign(instrument_noise=0.2 + 0.0 * records["variance"])
+            found = with_own_length_scale(own, SIX, **given)
+            assert abs(np.log(report_of(found)["length_scale"] / 100.0)) < 0.25
+            assert "instrument_noise_sd" not in found
+            assert noise_words(found) == ""
+        short = with_own_length_scale(records, SIX, instrument_noise=0.0)
+        assert report_of(short)["length_scale"] < 50.0  # noise that is not known of looks like small eddies
+
+    def test_only_the_noise_of_records_with_a_length_scale(self):
+        records = simulated(noise=0.09).assign(length_scale=("record", np.full(40, 50.0)))
+        found = with_told_noise(records, SIX)
+        assert np.all(found["length_scale"] == 50.0)
+        assert float(found["instrument_noise"].mean()) == pytest.approx(0.09, abs=0.012)
+        bare = records.drop_vars("octave_variance")
+        assert with_told_noise(bare, SIX) is bare
+
+
+class TestFit:
+    OPTIONS: ClassVar = {"seed": 1, "sampler": "direct", "campaign": "off", "target_ess": 200}
+
+    @pytest.mark.parametrize("given", [{}, {"turbulence": "fu-2022"}])
+    def test_by_default_what_the_records_tell_is_taken_off(self, given):
+        records, plain = simulated(noise=0.2, n_records=20), simulated(n_records=20)
+        said = []
+        fits = {
+            "told": brs.fit(records, SIX, say=said.append, **self.OPTIONS, **given),
+            "kept": brs.fit(records, SIX, instrument_noise=0.0, **self.OPTIONS, **given),
+            "none": brs.fit(plain, SIX, **self.OPTIONS, **given),
+        }
+        mean = {name: fit.summary().groupby("stress")["mean"].mean() for name, fit in fits.items()}
+        for stress in ("uu", "vv", "ww"):
+            added = mean["kept"][stress] - mean["none"][stress]
+            assert added > 0.1
+            assert abs(mean["told"][stress] - mean["none"][stress]) < 0.3 * added
+        assert any(line.startswith("instrument noise from the spectra: 0.4") for line in said)
+        again = brs.fit(fits["told"].records, SIX, **self.OPTIONS, **given)
+        assert again.summary()["mean"].to_numpy() == pytest.approx(fits["told"].summary()["mean"].to_numpy())
+
+    def test_what_is_not_known_of_it_widens_the_intervals(self):
+        records = with_own_length_scale(simulated(noise=0.2, n_records=4), SIX)
+        widths = []
+        for factor in (0.0, 1.0, 8.0):
+            own = records.assign(instrument_noise_sd=factor * records["instrument_noise_sd"])
+            table = brs.fit(own, SIX, **self.OPTIONS).summary()
+            widths.append((table["high"] - table["low"])[table["stress"] == "ww"].mean())
+        assert widths[0] < widths[1] * 1.02
+        assert widths[2] > 1.1 * widths[0]
+
+    def test_the_interval_of_a_campaign_holds_its_error(self):
+        """All records alike: the mean of ww has the standard deviation of the noise's error, and uw has none."""
+        stress = np.broadcast_to([1.0, 0.5, 0.4, 0.0, -0.1, 0.0], (1, 2000, 40, 6))
+        campaign = SimpleNamespace(
+            stress=stress,
+            n_record=40,
+            wind_speed=np.full(40, 10.0),
+            group=("",) * 40,
+            prior_stress=stress[0] + np.random.default_rng(2).uniform(0.0, 0.1, (2000, 40, 6)),
+        )
+        table = campaign_table(campaign, offset_sd=np.full(40, 0.02)).set_index(["quantity", "bin"])
+        width = table["high"] - table["low"]
+        for name in ("uu", "vv", "ww"):
+            assert width[name, "all"] == pytest.approx(2.0 * 1.645 * 0.02, rel=0.08)
+        assert width["uw", "all"] == 0.0
+
+
+class TestMoments:
+    SD = np.array([[0.1, 0.2, 0.05, 0.1, 0.3, 0.1], [0.0] * 6])
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def at():
+        return theory_noise("6-beam", FLOW, wind_speed=10.0).for_records(np.full(2, 10.0), np.zeros(2))
+
+    def test_one_amount_for_all_beams(self, at):
+        """y + δ of all beams, δ over y having the standard deviations t: their covariance grows by t tᵀ."""
+        found = shifted(at, self.SD)
+        t = self.SD[0]
+        np.testing.assert_allclose(found.covariance[0], (1.0 + at.covariance[0]) * (1.0 + np.outer(t, t)) - 1.0)
+        np.testing.assert_allclose(found.covariance[1], at.covariance[1], atol=1e-15)
+        assert len(np.unique(found.state)) == 2
+
+    def test_reduced_noise_is_the_reduction_of_the_whole(self, at):
+        left = np.linalg.qr(np.random.default_rng(2).standard_normal((6, 3)))[0]
+        logs = np.log1p(at.covariance)
+        reduced = ReducedRecordNoise(at.gain, at.bias, left.T @ logs @ left, np.einsum("rbb->rb", logs), at.outside)
+        found = shifted_reduced(reduced, left, self.SD)
+        whole = np.log1p(shifted(at, self.SD).covariance)
+        # to first order: what is left is t⁴/2
+        np.testing.assert_allclose(found.covariance, left.T @ whole @ left, atol=0.01)
+        np.testing.assert_allclose(found.log_variance, np.einsum("rbb->rb", whole), atol=0.5 * 0.3**4)
