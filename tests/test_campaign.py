@@ -166,7 +166,7 @@ class TestConjugate:
 
     def test_marginal_density_is_that_of_all_records_written_out(self):
         h = self.hyper
-        found = means_posterior(h.scatter, h.speed_share, h.group_share, sums_of(self.z, self.cells), self.cells)
+        found = means_posterior(h, sums_of(self.z, self.cells), self.cells)
         dense = [
             stats.multivariate_normal(
                 cov=dense_covariance(h.scatter[c], h.speed_share[c], h.group_share[c], self.cells)
@@ -179,7 +179,7 @@ class TestConjugate:
     def test_drawn_means_are_those_of_the_regression(self):
         """Mean and covariance of the means given the records, from the dense covariance by conditioning."""
         h, cells = self.hyper, self.cells
-        found = means_posterior(h.scatter, h.speed_share, h.group_share, sums_of(self.z, cells), cells)
+        found = means_posterior(h, sums_of(self.z, cells), cells)
         rng = np.random.default_rng(6)
         n = 20_000
         draws = np.stack([found.draw(rng)[1] for _ in range(n)])

@@ -13,15 +13,14 @@ from bayes_rs._validation import FloatArray
 def factor(matrix: FloatArray) -> FloatArray:
     """Return the lower Cholesky factors, shape (d, d, …), of symmetric positive definite matrices (d, d, …)."""
     d = len(matrix)
-    lower = np.zeros(matrix.shape)
+    flat = matrix.reshape(d, d, -1)
+    lower = np.zeros(flat.shape)
     for j in range(d):
-        column = matrix[j:, j].copy()
-        for k in range(j):
-            column -= lower[j:, k] * lower[j, k]
+        column = lower[j:, j]
+        np.subtract(flat[j:, j], np.einsum("ikn,kn->in", lower[j:, :j], lower[j, :j]), out=column)
         np.sqrt(column[0], out=column[0])
         column[1:] /= column[0]
-        lower[j:, j] = column
-    return lower
+    return lower.reshape(matrix.shape)
 
 
 def solve_lower(lower: FloatArray, vector: FloatArray) -> FloatArray:
