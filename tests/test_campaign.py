@@ -206,8 +206,11 @@ class TestSmallMatrices:
         rng = np.random.default_rng(7)
         half = rng.standard_normal((40, 7, 9))
         matrix = half @ half.swapaxes(-1, -2)
+        other = np.diag(rng.uniform(size=7)) + rng.uniform()
         vector = rng.standard_normal((40, 7))
-        lower = small_matrices.factor(np.moveaxis(matrix, 0, -1))
+        lower = small_matrices.factor(np.moveaxis(matrix, 0, -1), np.stack([np.zeros((7, 7)), other], axis=-1))
+        np.testing.assert_allclose(np.moveaxis(lower[:, :, 1], -1, 0), np.linalg.cholesky(matrix + other), atol=1e-12)
+        lower = lower[:, :, 0]
         root = np.linalg.cholesky(matrix)
         np.testing.assert_allclose(np.moveaxis(lower, -1, 0), root, atol=1e-12)
         forward = small_matrices.solve_lower(lower, vector.T)
@@ -215,6 +218,8 @@ class TestSmallMatrices:
         backward = small_matrices.solve_upper(lower, vector.T)
         want = np.linalg.solve(root.swapaxes(-1, -2), vector[..., None])[..., 0]
         np.testing.assert_allclose(backward.T, want, rtol=1e-8)
+        product = (vector[:, None, :] @ root)[:, 0]
+        np.testing.assert_allclose(small_matrices.times_upper(lower, vector.T).T, product, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(small_matrices.log_diagonal(lower), 0.5 * np.linalg.slogdet(matrix)[1], rtol=1e-9)
 
 

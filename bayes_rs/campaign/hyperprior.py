@@ -163,6 +163,10 @@ class Hyper:
                 vars(found)[name] = mixed(vars(self)[name], vars(other)[name])
         return found
 
+    def alone(self) -> Hyper:
+        """Return the same without what was calculated of it, to be kept."""
+        return Hyper(self.scatter, self.speed_share, self.group_share, self.score)
+
     def with_score(self, score: FloatArray) -> Hyper:
         """Return the same with other scores."""
         return self._with_same_scatter(self.speed_share, self.group_share, score)

@@ -12,7 +12,7 @@ from bayes_rs.campaign.cells import Cells, make_cells
 from bayes_rs.campaign.conjugate import HyperMoves
 from bayes_rs.campaign.hyperprior import Hyper, draw_coordinates, draw_hyper
 from bayes_rs.campaign.learning import hyper_table, hyper_values, learnt_prior
-from bayes_rs.campaign.record_moves import RecordMoves, State, expand, unseen_directions
+from bayes_rs.campaign.record_moves import RecordMoves, expand, unseen_directions
 from bayes_rs.errors import InputError
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
@@ -152,7 +152,7 @@ class _Run:
         mode = np.repeat(mode[:, None, :], n_chain, axis=1)
         start = mode + 0.1 * rng.standard_normal(mode.shape)
         start = np.where(np.isfinite(self.moves.log_likelihood(start)), start, mode)
-        self.state = State(hyper, start, self.moves.log_likelihood(start))
+        self.state = self.moves.place(hyper, start, self.moves.log_likelihood(start))
 
     @property
     def _tallies(self) -> tuple[RecordMoves | HyperMoves, ...]:
@@ -176,7 +176,7 @@ class _Run:
             self._sweep(sweep, adapt=False)
             self.n_sweep += 1
             if self.n_sweep % _STRIDE == 0:
-                self.hypers.append(self.state.hyper)
+                self.hypers.append(self.state.hyper.alone())
                 stress = self.base.stress(self.state.coordinate[:N_COORDINATE].transpose(1, 2, 0))
                 self.means.append(stress.mean(axis=1))
             if self.n_sweep % self.stride == 0:
@@ -188,16 +188,16 @@ class _Run:
     def _sweep(self, sweep: int, *, adapt: bool) -> None:
         state = self.state
         hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], adapt=adapt)
-        frame = self.moves.frame(hyper)
-        state = self.moves.move_records(State(hyper, state.coordinate, state.height), frame, walk=sweep % 2 == 1)
+        state = self.moves.place(hyper, state.coordinate, state.height)
+        state = self.moves.move_records(state, walk=sweep % 2 == 1)
         axis = self.rng.permutation(N_COORDINATE)
-        state, frame = self.moves.shift(state, frame, int(axis[0]), adapt=adapt)
+        state = self.moves.shift(state, int(axis[0]), adapt=adapt)
         for kind, where in zip(("scale", "row") if sweep % 2 else ("spread", "scale"), axis[1:], strict=False):
-            state, frame = self.moves.stretch(state, frame, kind, int(where), adapt=adapt)
+            state = self.moves.stretch(state, kind, int(where), adapt=adapt)
         if self.unseen.shape[1]:
             self.level *= _MEMORY
             self.level += np.sqrt(1.0 - _MEMORY**2) * self.rng.standard_normal(self.level.shape)
-            state, frame = self.moves.release(state, frame, self.unseen, self.level)
+            state = self.moves.release(state, self.unseen, self.level)
         self.state = state
 
     def hyper_draws(self) -> Hyper:
