@@ -209,10 +209,11 @@ class TestSmallMatrices:
         other = np.diag(rng.uniform(size=7)) + rng.uniform()
         vector = rng.standard_normal((40, 7))
         lower = small_matrices.factor(np.moveaxis(matrix, 0, -1), np.stack([np.zeros((7, 7)), other], axis=-1))
-        np.testing.assert_allclose(np.moveaxis(lower[:, :, 1], -1, 0), np.linalg.cholesky(matrix + other), atol=1e-12)
+        of_sum = np.tril(np.moveaxis(lower[:, :, 1], -1, 0))
+        np.testing.assert_allclose(of_sum, np.linalg.cholesky(matrix + other), atol=1e-12)
         lower = lower[:, :, 0]
         root = np.linalg.cholesky(matrix)
-        np.testing.assert_allclose(np.moveaxis(lower, -1, 0), root, atol=1e-12)
+        np.testing.assert_allclose(np.tril(np.moveaxis(lower, -1, 0)), root, atol=1e-12)
         forward = small_matrices.solve_lower(lower, vector.T)
         np.testing.assert_allclose(forward.T, np.linalg.solve(root, vector[..., None])[..., 0], rtol=1e-8)
         backward = small_matrices.solve_upper(lower, vector.T)

@@ -141,15 +141,21 @@ class HyperMoves:
         self.tried = {"scatter, independent": 0.0, "scatter, walk": 0.0, "shares": 0.0}
         self.accepted = dict.fromkeys(self.tried, 0.0)
 
-    def move(self, hyper: Hyper, coordinate: FloatArray, *, adapt: bool) -> Hyper:
-        """Move all hyperparameters; coordinates are (6, n, n_record), sorted by cells."""
+    def move(self, hyper: Hyper, coordinate: FloatArray, *, turn: int, adapt: bool) -> Hyper:
+        """Move all hyperparameters; coordinates are (6, n, n_record), sorted by cells.
+
+        Σ by its two moves in turns, and the shares in every second turn: they forget within a few.
+        """
         sums = sums_of(coordinate, self.cells)
         now = self._posterior(hyper, sums)
-        now, hyper, _ = self._independent(now, hyper, sums)
-        now, hyper, share = self._walk(now, hyper, sums)
-        if adapt:
-            self.log_dof = float(np.clip(self.log_dof - 0.3 * (share - 0.3), np.log(12.0), np.log(1e6)))
-        now, hyper = self._shares(now, hyper, sums)
+        if turn % 2:
+            now, hyper, _ = self._independent(now, hyper, sums)
+        else:
+            now, hyper, share = self._walk(now, hyper, sums)
+            if adapt:
+                self.log_dof = float(np.clip(self.log_dof - 0.3 * (share - 0.3), np.log(12.0), np.log(1e6)))
+        if turn % 2:
+            now, hyper = self._shares(now, hyper, sums)
         return hyper.with_score(now.draw(self.rng))
 
     def _posterior(self, hyper: Hyper, sums: Sums) -> MeansPosterior:

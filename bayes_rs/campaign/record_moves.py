@@ -23,7 +23,7 @@ _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
 _UNSEEN = 1.0
 """Precision, of the prior's, up to which a direction is unseen: all records together say less than the prior does."""
-_KINDS = ("shift", "scale", "row", "spread")
+_KINDS = ("shift", "row", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
 
@@ -183,12 +183,15 @@ class RecordMoves:
         known = np.maximum(told, 0.0) * spread
         known = known / (1.0 + known)  # share of a record's scatter that its own data tell
         n_record = self.cells.n_record
-        self.scale = {
-            "shift": 1.0 / np.sqrt(1.0 + n_record * known / spread),
-            "scale": 1.0 / np.sqrt(1.0 + 2.0 * n_record * known**2),
-            "spread": np.ones(N_COORDINATE),
-        }
+        self.scale = {"shift": 1.0 / np.sqrt(1.0 + n_record * known / spread), "spread": np.ones(N_COORDINATE)}
+        # what the data tell well the other moves know, too: these are for what they tell badly
+        self.chance = {kind: _chances(1.0 - known) for kind in _KINDS}
+        self.chance["spread"] = _chances(1.0 - self.axes**2 @ known)
         self.row_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
+
+    def choose_axis(self, kind: str) -> int:
+        """Choose the axis, or coordinate, of a move: those that the data tell badly more often."""
+        return int(self.rng.choice(N_COORDINATE, p=self.chance[kind]))
 
     def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-likelihoods, shape (n_chain, n_record)."""
@@ -198,9 +201,10 @@ class RecordMoves:
         """Return the normal approximation at hyperparameters; `like` is one at the same Σ and other means."""
         d, n_chain, of_record = self.posterior.n_coordinate, len(hyper), self.cells.of_record
         of_cell = hyper.means(self.cells)
-        mean, pulled = (np.zeros((d, n_chain, self.cells.n_record)) for _ in range(2))
-        mean[:N_COORDINATE] = np.moveaxis(of_cell, -1, 0)[:, :, of_record]
-        pulled[:N_COORDINATE] = np.moveaxis(of_cell @ hyper.precision, -1, 0)[:, :, of_record]
+        both = np.zeros((2, d, n_chain, of_cell.shape[1]))
+        both[0, :N_COORDINATE] = np.moveaxis(of_cell, -1, 0)
+        both[1, :N_COORDINATE] = np.moveaxis(of_cell @ hyper.precision, -1, 0)
+        mean, pulled = np.take(both, of_record, axis=-1)
         pulled += self.expansion.linear[:, None, :]
         if like is not None:
             return replace(like, mean=mean, middle=small_matrices.solve_lower(like.lower, pulled))
@@ -300,7 +304,7 @@ class RecordMoves:
         return self._mixed(state, State(moved, trial, height, frame, state.score, frame.log_prior(trial)), accept)
 
     def stretch(self, state: State, kind: str, axis: int, *, adapt: bool) -> State:
-        """Change Σ: its spread along an axis, what the axis has in common with others, or the spread of a coordinate.
+        """Change Σ: the spread of a coordinate, or what an axis has in common with all coordinates.
 
         Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
         grows by |A|⁷. The scores of the means are held fixed.
@@ -310,7 +314,7 @@ class RecordMoves:
         state : State
             Where the chains are.
         kind : str
-            ``"scale"``, ``"row"`` or ``"spread"``.
+            ``"row"`` or ``"spread"``.
         axis : int
             Which axis, or coordinate.
         adapt : bool
@@ -389,3 +393,9 @@ class RecordMoves:
         self.tried[what] += accept.size
         self.accepted[what] += float(np.count_nonzero(accept))
         return np.asarray(accept)
+
+
+def _chances(weight: FloatArray) -> FloatArray:
+    """Return probabilities that are larger where the weights are, and nowhere small."""
+    chance = weight + 0.1 * weight.max()
+    return np.asarray(chance / chance.sum())

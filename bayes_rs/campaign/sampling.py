@@ -34,11 +34,15 @@ _TOGETHER = 1200
 """Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
-_BURN_IN = (50, 100, 150, 200)
+_STRETCHES = ("spread", "row", "spread", "row")
+"""Changes of Σ with the records carried along, of each sweep."""
+_EACH_WALK = 4
+"""Sweeps from one random walk of the records to the next."""
+_BURN_IN = (50, 75, 100, 125)
 """Sweeps of the parts of the burn-in; the proposals are shaped anew after each."""
 _MEMORY = 0.95
 """Correlation of an unseen level of the means from one sweep to the next: slow enough for the records to follow."""
-_BLOCK = 500
+_BLOCK = 250
 """Sweeps between two looks at the effective sample size."""
 
 
@@ -99,7 +103,7 @@ def sample_campaign(
         )
     rng = as_generator(seed)
     if n_chain is None:
-        n_chain = N_CHAIN * int(np.clip(_TOGETHER // (N_CHAIN * len(speed)), 1, 5))
+        n_chain = N_CHAIN * int(np.clip(_TOGETHER // (N_CHAIN * len(speed)), 1, 2))
     given = make_cells(speed, group)
     order, cells = given.order(), given.in_order()
     run = _Run(posterior.take(order), base, cells, rng, n_chain)
@@ -187,13 +191,12 @@ class _Run:
 
     def _sweep(self, sweep: int, *, adapt: bool) -> None:
         state = self.state
-        hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], adapt=adapt)
+        hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], turn=sweep, adapt=adapt)
         state = self.moves.place(hyper, state.coordinate, state.height)
-        state = self.moves.move_records(state, walk=sweep % 2 == 1)
-        axis = self.rng.permutation(N_COORDINATE)
-        state = self.moves.shift(state, int(axis[0]), adapt=adapt)
-        for kind, where in zip(("scale", "row") if sweep % 2 else ("spread", "scale"), axis[1:], strict=False):
-            state = self.moves.stretch(state, kind, int(where), adapt=adapt)
+        state = self.moves.move_records(state, walk=sweep % _EACH_WALK == 0)
+        state = self.moves.shift(state, self.moves.choose_axis("shift"), adapt=adapt)
+        for kind in _STRETCHES:
+            state = self.moves.stretch(state, kind, self.moves.choose_axis(kind), adapt=adapt)
         if self.unseen.shape[1]:
             self.level *= _MEMORY
             self.level += np.sqrt(1.0 - _MEMORY**2) * self.rng.standard_normal(self.level.shape)

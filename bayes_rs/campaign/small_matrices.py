@@ -11,9 +11,12 @@ from bayes_rs._validation import FloatArray
 
 
 def factor(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factors, shape (d, d, m, n), of all sums of matrices (d, d, n) and others (d, d, m)."""
+    """Return the lower Cholesky factors, shape (d, d, m, n), of all sums of matrices (d, d, n) and others (d, d, m).
+
+    What lies above the diagonal is not set.
+    """
     d, m, n = len(one), other.shape[-1], one.shape[-1]
-    lower = np.zeros((d, d, m, n))
+    lower = np.empty((d, d, m, n))
     flat = lower.reshape(d, d, m * n)  # the same numbers
     for j in range(d):
         column = lower[j:, j]
@@ -21,7 +24,7 @@ def factor(one: FloatArray, other: FloatArray) -> FloatArray:
         if j:
             flat[j:, j] -= np.einsum("ikn,kn->in", flat[j:, :j], flat[j, :j])
         np.sqrt(column[0], out=column[0])
-        column[1:] /= column[0]
+        column[1:] *= 1.0 / column[0]
     return lower
 
 
