@@ -23,7 +23,7 @@ _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
 _UNSEEN = 1.0
 """Precision, of the prior's, up to which a direction is unseen: all records together say less than the prior does."""
-_KINDS = ("shift", "row", "spread")
+_KINDS = ("shift", "pair", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
 
@@ -187,7 +187,7 @@ class RecordMoves:
         # what the data tell well the other moves know, too: these are for what they tell badly
         self.chance = {kind: _chances(1.0 - known) for kind in _KINDS}
         self.chance["spread"] = _chances(1.0 - self.axes**2 @ known)
-        self.row_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
+        self.pair_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
 
     def choose_axis(self, kind: str) -> int:
         """Choose the axis, or coordinate, of a move: those that the data tell badly more often."""
@@ -304,7 +304,7 @@ class RecordMoves:
         return self._mixed(state, State(moved, trial, height, frame, state.score, frame.log_prior(trial)), accept)
 
     def stretch(self, state: State, kind: str, axis: int, *, adapt: bool) -> State:
-        """Change Σ: the spread of a coordinate, or what an axis has in common with all coordinates.
+        """Change Σ: the spread of a coordinate, or what an axis has in common with another.
 
         Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
         grows by |A|⁷. The scores of the means are held fixed.
@@ -314,7 +314,7 @@ class RecordMoves:
         state : State
             Where the chains are.
         kind : str
-            ``"row"`` or ``"spread"``.
+            ``"pair"`` or ``"spread"``.
         axis : int
             Which axis, or coordinate.
         adapt : bool
@@ -329,8 +329,10 @@ class RecordMoves:
         n_chain = len(hyper)
         basis = np.eye(N_COORDINATE) if kind == "spread" else self.axes
         size = self._steps(kind, axis, n_chain)[:, None]
-        if kind == "row":
-            slope = size * ((self.row_scale[axis] * self.rng.standard_normal((n_chain, N_COORDINATE))) @ basis.T)
+        if kind == "pair":
+            other = self.rng.integers(N_COORDINATE, size=n_chain)
+            step = 2.0 * self.pair_scale[axis, other] * self.rng.standard_normal(n_chain)
+            slope = size * step[:, None] * basis.T[other]
         else:
             slope = size * self.scale[kind][axis] * self.rng.standard_normal((n_chain, 1)) * basis[:, axis]
         rate = slope @ basis[:, axis]

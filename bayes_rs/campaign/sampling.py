@@ -34,12 +34,14 @@ _TOGETHER = 1200
 """Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
-_STRETCHES = ("spread", "row", "spread", "row")
+_STRETCHES = ("spread", "pair", "spread", "pair")
 """Changes of Σ with the records carried along, of each sweep."""
 _EACH_WALK = 4
 """Sweeps from one random walk of the records to the next."""
 _BURN_IN = (50, 75, 100, 125)
 """Sweeps of the parts of the burn-in; the proposals are shaped anew after each."""
+_START = 0.125
+"""Least variance that the records have in any direction when chains begin."""
 _MEMORY = 0.95
 """Correlation of an unseen level of the means from one sweep to the next: slow enough for the records to follow."""
 _BLOCK = 250
@@ -149,8 +151,10 @@ class _Run:
         mode = np.ascontiguousarray(laplace_proposal(posterior).mode.T)
         self.moves = RecordMoves(posterior, cells, expand(posterior, mode), rng)
         self.hyper_moves = HyperMoves(cells, rng)
-        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes
+        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes; but no Σ begins
+        # so narrow that the means of the bins would have to follow the records' modes, a way off that is long to go back
         hyper = draw_hyper(n_chain, cells, rng)
+        hyper = hyper.with_scatter(0.5 * hyper.scatter + _START * np.eye(N_COORDINATE))
         self.unseen = unseen_directions(posterior, mode.mean(axis=1))
         self.level = rng.standard_normal((n_chain, self.unseen.shape[1]))
         mode = np.repeat(mode[:, None, :], n_chain, axis=1)
