@@ -189,10 +189,6 @@ class RecordMoves:
         self.chance["spread"] = _chances(1.0 - self.axes**2 @ known)
         self.pair_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
 
-    def choose_axis(self, kind: str) -> int:
-        """Choose the axis, or coordinate, of a move: those that the data tell badly more often."""
-        return int(self.rng.choice(N_COORDINATE, p=self.chance[kind]))
-
     def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-likelihoods, shape (n_chain, n_record)."""
         return np.asarray(self.likelihood.log_density(*self.posterior.seen(coordinate.transpose(2, 1, 0))).T)
@@ -256,6 +252,16 @@ class RecordMoves:
         ):
             np.copyto(then, now, where=~accept)
         return State(state.hyper, trial, height, state.frame, score, log_prior)
+
+    def carry(self, state: State, kind: str, *, adapt: bool) -> State:
+        """Make a move that carries the records along: of the means (``"shift"``), or of Σ (``"spread"``, ``"pair"``).
+
+        Its axis, or coordinate, is chosen at random: more often one that the data tell badly.
+        """
+        axis = int(np.searchsorted(np.cumsum(self.chance[kind])[:-1], self.rng.uniform()))
+        if kind == "shift":
+            return self.shift(state, axis, adapt=adapt)
+        return self.stretch(state, kind, axis, adapt=adapt)
 
     def shift(self, state: State, axis: int, *, adapt: bool) -> State:
         """Move the means, of all groups or of one, along an axis."""

@@ -34,8 +34,8 @@ _TOGETHER = 1200
 """Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
-_STRETCHES = ("spread", "pair", "spread", "pair")
-"""Changes of Σ with the records carried along, of each sweep."""
+_CARRYING = ("shift", "spread", "pair", "spread", "pair")
+"""Moves of each sweep that carry the records along."""
 _EACH_WALK = 4
 """Sweeps from one random walk of the records to the next."""
 _BURN_IN = (50, 75, 100, 125)
@@ -198,9 +198,8 @@ class _Run:
         hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], turn=sweep, adapt=adapt)
         state = self.moves.place(hyper, state.coordinate, state.height)
         state = self.moves.move_records(state, walk=sweep % _EACH_WALK == 0)
-        state = self.moves.shift(state, self.moves.choose_axis("shift"), adapt=adapt)
-        for kind in _STRETCHES:
-            state = self.moves.stretch(state, kind, self.moves.choose_axis(kind), adapt=adapt)
+        for kind in _CARRYING:
+            state = self.moves.carry(state, kind, adapt=adapt)
         if self.unseen.shape[1]:
             self.level *= _MEMORY
             self.level += np.sqrt(1.0 - _MEMORY**2) * self.rng.standard_normal(self.level.shape)
