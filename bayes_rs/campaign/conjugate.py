@@ -105,7 +105,7 @@ def means_posterior(hyper: Hyper, sums: Sums, cells: Cells) -> MeansPosterior:
     linear[:, n_level:] = at_bin @ cells.kernel_root
     # above the square of the whitened linear term, since no eigenvalue of the precision is below 1
     whole[:, n_score, n_score] = 1.0 + 2.0 * np.sum(linear**2, axis=1)
-    factor = np.linalg.cholesky(whole)
+    factor = np.asarray(np.linalg.cholesky(whole), dtype=np.float64)
     whitened = factor[:, n_score, :n_score]
     log_volume = np.log(factor[:, diagonal, diagonal]).sum(axis=1)
     log_marginal = (

@@ -386,8 +386,7 @@ class RecordMoves:
             one[:, reject] = other[:, reject]
         new.height[reject], new.log_prior[reject] = state.height[reject], state.log_prior[reject]
         if then.lower is not now.lower:
-            for j in range(len(then.lower)):
-                then.lower[j:, j, reject] = now.lower[j:, j, reject]
+            then.lower[:, :, reject] = now.lower[:, :, reject]
             then.of_prior[reject], then.log_volume[reject] = now.of_prior[reject], now.log_volume[reject]
             then.log_prior_volume[reject] = now.log_prior_volume[reject]
         return replace(new, hyper=state.hyper.where(accept, new.hyper))

@@ -151,8 +151,8 @@ class _Run:
         mode = np.ascontiguousarray(laplace_proposal(posterior).mode.T)
         self.moves = RecordMoves(posterior, cells, expand(posterior, mode), rng)
         self.hyper_moves = HyperMoves(cells, rng)
-        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes; but no Σ begins
-        # so narrow that the means of the bins would have to follow the records' modes, a way off that is long to go back
+        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes; but no Σ
+        # begins so narrow that the means of the bins follow the records' modes, from where it is a long way back
         hyper = draw_hyper(n_chain, cells, rng)
         hyper = hyper.with_scatter(0.5 * hyper.scatter + _START * np.eye(N_COORDINATE))
         self.unseen = unseen_directions(posterior, mode.mean(axis=1))
