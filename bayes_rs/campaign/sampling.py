@@ -80,7 +80,7 @@ def sample_campaign(
     most_sweeps : int
         Bound on the sweeps of a chain after burn-in.
     n_chain : int
-        Independent chains; by default 4, and more for few records, whose chains cost little.
+        Independent chains; by default 4, and 8 for up to 150 records, whose chains cost little.
 
     Returns
     -------
@@ -220,18 +220,22 @@ class _Run:
     def effective(self, target_ess: float) -> tuple[float, float, bool]:
         """Return the smallest effective size and largest R-hat of all means, and whether the target is reached.
 
-        The standard deviations, which move more slowly, must have a quarter of the target, and R-hat below 1.1.
+        What moves more slowly must have a quarter of the target: the standard deviations, with R-hat below 1.1, and
+        the correlations.
         """
         n_chain = len(self.state.hyper)
         values = hyper_values(self.base, self.hyper_draws(), self.cells)
         means = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("mean")]
         means += list(np.moveaxis(np.stack(self.means, axis=-1), 1, 0))  # those of stresses, (n_chain, n_draw) each
         scatter = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("sd")]
+        shape = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("corr")]
         of_means = diagnostics.diagnose(np.stack(means), n_chain)
         of_scatter = diagnostics.diagnose(np.stack(scatter), n_chain)
+        of_shape = diagnostics.diagnose(np.stack(shape), n_chain)
         ess, r_hat = float(of_means.ess_bulk.min()), float(of_means.r_hat.max())
         done = ess >= target_ess and r_hat < R_HAT_LIMIT
         done = done and bool(of_scatter.ess_bulk.min() >= 0.25 * target_ess and of_scatter.r_hat.max() < 1.1)
+        done = done and bool(of_shape.ess_bulk.min() >= 0.25 * target_ess)
         return ess, r_hat, done
 
     def acceptance(self) -> dict[str, float]:
