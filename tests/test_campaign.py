@@ -166,7 +166,7 @@ class TestConjugate:
 
     def test_marginal_density_is_that_of_all_records_written_out(self):
         h = self.hyper
-        found = means_posterior(h.scatter, h.speed_share, h.group_share, sums_of(self.z, self.cells), self.cells)
+        found = means_posterior(h, sums_of(self.z, self.cells), self.cells)
         dense = [
             stats.multivariate_normal(
                 cov=dense_covariance(h.scatter[c], h.speed_share[c], h.group_share[c], self.cells)
@@ -179,7 +179,7 @@ class TestConjugate:
     def test_drawn_means_are_those_of_the_regression(self):
         """Mean and covariance of the means given the records, from the dense covariance by conditioning."""
         h, cells = self.hyper, self.cells
-        found = means_posterior(h.scatter, h.speed_share, h.group_share, sums_of(self.z, cells), cells)
+        found = means_posterior(h, sums_of(self.z, cells), cells)
         rng = np.random.default_rng(6)
         n = 20_000
         draws = np.stack([found.draw(rng)[1] for _ in range(n)])
@@ -206,15 +206,21 @@ class TestSmallMatrices:
         rng = np.random.default_rng(7)
         half = rng.standard_normal((40, 7, 9))
         matrix = half @ half.swapaxes(-1, -2)
+        other = np.diag(rng.uniform(size=7)) + rng.uniform()
         vector = rng.standard_normal((40, 7))
-        lower = small_matrices.factor(np.moveaxis(matrix, 0, -1))
+        lower = small_matrices.factor(np.moveaxis(matrix, 0, -1), np.stack([np.zeros((7, 7)), other], axis=-1))
+        of_sum = np.tril(np.moveaxis(lower[:, :, 1], -1, 0))
+        np.testing.assert_allclose(of_sum, np.linalg.cholesky(matrix + other), atol=1e-12)
+        lower = lower[:, :, 0]
         root = np.linalg.cholesky(matrix)
-        np.testing.assert_allclose(np.moveaxis(lower, -1, 0), root, atol=1e-12)
+        np.testing.assert_allclose(np.tril(np.moveaxis(lower, -1, 0)), root, atol=1e-12)
         forward = small_matrices.solve_lower(lower, vector.T)
         np.testing.assert_allclose(forward.T, np.linalg.solve(root, vector[..., None])[..., 0], rtol=1e-8)
         backward = small_matrices.solve_upper(lower, vector.T)
         want = np.linalg.solve(root.swapaxes(-1, -2), vector[..., None])[..., 0]
         np.testing.assert_allclose(backward.T, want, rtol=1e-8)
+        product = (vector[:, None, :] @ root)[:, 0]
+        np.testing.assert_allclose(small_matrices.times_upper(lower, vector.T).T, product, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(small_matrices.log_diagonal(lower), 0.5 * np.linalg.slogdet(matrix)[1], rtol=1e-9)
 
 

@@ -291,6 +291,20 @@ class TestLikelihood:
             rtol=1e-12,
         )
 
+    @pytest.mark.parametrize("name", MAKERS)
+    def test_arrays_that_run_along_the_records_change_nothing(self, name):
+        likelihood = build(name, self.scan, self.variance(), self.place, offset=0.01)
+        mixture = MixtureLikelihood((likelihood, likelihood), np.array([0.4, 0.6]))
+        rng = np.random.default_rng(2)
+        tensors = np.exp(0.2 * rng.standard_normal((7, 3, 1))) * self.stress[:, None]
+        tensors[2, 1] = [1.0, 1.0, 1.0, 2.0, 0.0, 0.0]  # no tensor of air
+        gradient = self.gradient[:, None] + 0.1 * rng.standard_normal((7, 3, self.gradient.shape[-1]))
+        more = (0.02 * rng.uniform(size=(7, 3)), gradient)
+        for one in (likelihood, mixture):
+            expected = one.log_density(tensors, *more)
+            for along in (tensors, np.asfortranarray(tensors)):
+                np.testing.assert_allclose(one.records_last().log_density(along, *more), expected, rtol=1e-10)
+
     def test_many_beams_are_reduced_to_what_stresses_and_gradients_move(self):
         scan = load_scan("51-beam-planes")
         place = Nuisances(vertical_gradient_sd=0.5, lateral_gradient_sd=0.5).place(scan.geometry())

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.cells import Cells
-from bayes_rs.campaign.hyperprior import Hyper, group_root, log_density_of_scatter, mean_root
+from bayes_rs.campaign.hyperprior import Hyper, group_root
 from bayes_rs.priors.interface import N_COORDINATE
 
 
@@ -72,47 +72,49 @@ class MeansPosterior:
         return np.asarray(np.linalg.solve(self.root.swapaxes(-1, -2), normal[..., None])[..., 0])
 
 
-def means_posterior(
-    scatter: FloatArray, speed_share: FloatArray, group_share: FloatArray, sums: Sums, cells: Cells
-) -> MeansPosterior:
+def means_posterior(hyper: Hyper, sums: Sums, cells: Cells) -> MeansPosterior:
     """Return the posterior of the scores; the matrices are small, whatever the number of records is."""
-    n, n_group, n_bin = len(scatter), cells.n_group, cells.n_bin
-    precision = np.linalg.inv(scatter)
-    root = mean_root(scatter)
-    level = root.copy()  # F, its last column for the part of the size that does not depend on the wind speed
-    level[:, :, -1] *= np.sqrt(1.0 - speed_share)[:, None]
-    size = np.sqrt(speed_share) * root[:, 0, -1]
-    between = group_root(group_share, n_group)
+    n, n_group, n_bin = len(hyper), cells.n_group, cells.n_bin
+    precision = hyper.precision
+    level = hyper.root.copy()  # F, its last column for the part of the size that does not depend on the wind speed
+    level[:, :, -1] *= np.sqrt(1.0 - hyper.speed_share)[:, None]
+    size = np.sqrt(hyper.speed_share) * hyper.root[:, 0, -1]
+    between = group_root(hyper.group_share, n_group)
     n_in_group, n_in_bin = cells.both_count.sum(axis=1), cells.both_count.sum(axis=0)
     grouped = between.swapaxes(-1, -2) @ (n_in_group[:, None] * between)
     n_level = N_COORDINATE * n_group
-    whole = np.empty((n, n_level + n_bin, n_level + n_bin))
-    of_level = level.swapaxes(-1, -2) @ precision @ level
-    whole[:, :n_level, :n_level] = np.einsum("nij,ngh->nigjh", of_level, grouped).reshape(n, n_level, n_level)
-    across = between.swapaxes(-1, -2) @ (cells.both_count @ cells.kernel_root)
-    beside = (level.swapaxes(-1, -2) @ precision[:, :, :1])[:, :, 0] * size[:, None]
-    mixed = np.einsum("ni,ngb->nigb", beside, across).reshape(n, n_level, n_bin)
-    whole[:, :n_level, n_level:] = mixed
-    whole[:, n_level:, :n_level] = mixed.swapaxes(-1, -2)
-    of_size = cells.kernel_root.T @ (n_in_bin[:, None] * cells.kernel_root)
-    whole[:, n_level:, n_level:] = (precision[:, 0, 0] * size**2)[:, None, None] * of_size
-    whole += np.eye(n_level + n_bin)
+    n_score = n_level + n_bin
+    # the lower triangle is enough; a last row for the linear term, whose factor is what whitens it
+    whole = np.zeros((n, n_score + 1, n_score + 1))
     pulled = precision @ level  # Σ⁻¹ F
-    linear = np.empty((n, n_level + n_bin))
-    linear[:, :n_level] = np.einsum("ngi,nij,ngh->njh", sums.of_group, pulled, between).reshape(n, n_level)
+    of_level = level.swapaxes(-1, -2) @ pulled
+    whole[:, :n_level, :n_level] = (of_level[:, :, None, :, None] * grouped[:, None, :, None, :]).reshape(
+        n, n_level, n_level
+    )
+    across = between.swapaxes(-1, -2) @ (cells.both_count @ cells.kernel_root)
+    beside = pulled[:, 0] * size[:, None]
+    mixed = (beside[:, :, None, None] * across[:, None, :, :]).reshape(n, n_level, n_bin)
+    whole[:, n_level:n_score, :n_level] = mixed.swapaxes(-1, -2)
+    of_size = cells.kernel_root.T @ (n_in_bin[:, None] * cells.kernel_root)
+    whole[:, n_level:n_score, n_level:n_score] = (precision[:, 0, 0] * size**2)[:, None, None] * of_size
+    diagonal = np.arange(n_score)
+    whole[:, diagonal, diagonal] += 1.0
+    linear = whole[:, n_score, :n_score]
+    linear[:, :n_level] = (pulled.swapaxes(-1, -2) @ sums.of_group.swapaxes(-1, -2) @ between).reshape(n, n_level)
     at_bin = (sums.of_bin @ precision[:, :, :1])[:, :, 0] * size[:, None]
     linear[:, n_level:] = at_bin @ cells.kernel_root
-    factor = np.linalg.cholesky(whole)
-    whitened = np.linalg.solve(factor, linear[..., None])[..., 0]
-    log_volume = np.log(np.einsum("nii->ni", factor)).sum(axis=1)
-    _, log_det = np.linalg.slogdet(scatter)
+    # above the square of the whitened linear term, since no eigenvalue of the precision is below 1
+    whole[:, n_score, n_score] = 1.0 + 2.0 * np.sum(linear**2, axis=1)
+    factor = np.asarray(np.linalg.cholesky(whole), dtype=np.float64)
+    whitened = factor[:, n_score, :n_score]
+    log_volume = np.log(factor[:, diagonal, diagonal]).sum(axis=1)
     log_marginal = (
-        -0.5 * cells.n_record * log_det
-        - 0.5 * np.einsum("nij,nij->n", precision, sums.square)
+        -0.5 * cells.n_record * hyper.log_det
+        - 0.5 * np.sum(precision * sums.square, axis=(1, 2))
         - log_volume
         + 0.5 * np.sum(whitened**2, axis=1)
     )
-    return MeansPosterior(np.asarray(factor, dtype=np.float64), np.asarray(whitened), np.asarray(log_marginal))
+    return MeansPosterior(factor[:, :n_score, :n_score], whitened, np.asarray(log_marginal))
 
 
 class HyperMoves:
@@ -139,19 +141,25 @@ class HyperMoves:
         self.tried = {"scatter, independent": 0.0, "scatter, walk": 0.0, "shares": 0.0}
         self.accepted = dict.fromkeys(self.tried, 0.0)
 
-    def move(self, hyper: Hyper, coordinate: FloatArray, *, adapt: bool) -> Hyper:
-        """Move all hyperparameters; coordinates are (6, n, n_record), sorted by cells."""
+    def move(self, hyper: Hyper, coordinate: FloatArray, *, turn: int, adapt: bool) -> Hyper:
+        """Move all hyperparameters; coordinates are (6, n, n_record), sorted by cells.
+
+        Σ by its two moves in turns, and the shares in every second turn: they forget within a few.
+        """
         sums = sums_of(coordinate, self.cells)
         now = self._posterior(hyper, sums)
-        now, hyper, _ = self._independent(now, hyper, sums)
-        now, hyper, share = self._walk(now, hyper, sums)
-        if adapt:
-            self.log_dof = float(np.clip(self.log_dof - 0.3 * (share - 0.3), np.log(12.0), np.log(1e6)))
-        now, hyper = self._shares(now, hyper, sums)
+        if turn % 2:
+            now, hyper, _ = self._independent(now, hyper, sums)
+        else:
+            now, hyper, share = self._walk(now, hyper, sums)
+            if adapt:
+                self.log_dof = float(np.clip(self.log_dof - 0.3 * (share - 0.3), np.log(12.0), np.log(1e6)))
+        if turn % 2:
+            now, hyper = self._shares(now, hyper, sums)
         return hyper.with_score(now.draw(self.rng))
 
     def _posterior(self, hyper: Hyper, sums: Sums) -> MeansPosterior:
-        return means_posterior(hyper.scatter, hyper.speed_share, hyper.group_share, sums, self.cells)
+        return means_posterior(hyper, sums, self.cells)
 
     def _settle(
         self, what: str, now: MeansPosterior, hyper: Hyper, new: Hyper, log_ratio: FloatArray, sums: Sums
@@ -159,6 +167,9 @@ class HyperMoves:
         """Accept or reject; `log_ratio` is what comes beside the marginal density of the coordinates."""
         possible = np.isfinite(log_ratio)
         safe = hyper.where(possible, new)
+        if safe is hyper:
+            self.tried[what] += len(hyper)
+            return now, hyper, 0.0
         then = self._posterior(safe, sums)
         log_ratio = np.where(possible, log_ratio, -np.inf) + then.log_marginal - now.log_marginal
         accept = np.log(self.rng.uniform(size=len(hyper))) < log_ratio
@@ -179,33 +190,27 @@ class HyperMoves:
         wishart = _wishart_root(len(hyper), dof, self.rng)
         # Σ = A Aᵀ with A = L B⁻ᵀ and B Bᵀ a standard Wishart matrix: inverse Wishart of scale L Lᵀ
         half = root @ np.linalg.inv(wishart).swapaxes(-1, -2)
-        new = Hyper(half @ half.swapaxes(-1, -2), hyper.speed_share, hyper.group_share, hyper.score)
+        new = hyper.with_scatter(half @ half.swapaxes(-1, -2))
 
-        def density(scatter: FloatArray) -> FloatArray:
-            _, log_det = np.linalg.slogdet(scatter)
-            trace = np.einsum("nij,nji->n", np.linalg.inv(scatter), sums.within)
-            return np.asarray(-0.5 * (dof + N_COORDINATE + 1.0) * log_det - 0.5 * trace)
+        def density(one: Hyper) -> FloatArray:
+            trace = np.sum(one.precision * sums.within, axis=(1, 2))
+            return np.asarray(-0.5 * (dof + N_COORDINATE + 1.0) * one.log_det - 0.5 * trace)
 
-        log_ratio = (
-            log_density_of_scatter(new.scatter)
-            - log_density_of_scatter(hyper.scatter)
-            + density(hyper.scatter)
-            - density(new.scatter)
-        )
+        log_ratio = new.log_density - hyper.log_density + density(hyper) - density(new)
         return self._settle("scatter, independent", now, hyper, new, log_ratio, sums)
 
     def _walk(self, now: MeansPosterior, hyper: Hyper, sums: Sums) -> tuple[MeansPosterior, Hyper, float]:
         dof = np.exp(self.log_dof)
         wishart = _wishart_root(len(hyper), dof, self.rng) / np.sqrt(dof)
         half = np.linalg.cholesky(hyper.scatter) @ wishart
-        new = Hyper(half @ half.swapaxes(-1, -2), hyper.speed_share, hyper.group_share, hyper.score)
+        new = hyper.with_scatter(half @ half.swapaxes(-1, -2))
         log_det = 2.0 * np.log(np.einsum("nii->ni", wishart)).sum(axis=1)
         inverse = np.linalg.inv(wishart)
         change = np.sum(inverse**2, axis=(1, 2)) - np.sum(wishart**2, axis=(1, 2))
         # p(Σ') q(Σ | Σ') over p(Σ) q(Σ' | Σ), both under the invariant measure |Σ|^(−7/2) dΣ, where W⁻¹ leads back
         log_ratio = (
-            log_density_of_scatter(new.scatter)
-            - log_density_of_scatter(hyper.scatter)
+            new.log_density
+            - hyper.log_density
             + 0.5 * (N_COORDINATE + 1.0) * log_det
             - dof * log_det
             - 0.5 * dof * change
@@ -218,7 +223,7 @@ class HyperMoves:
         if self.cells.n_group > 1:
             group_share, more = _logit_walk(hyper.group_share, self.rng)
             change = change + more
-        new = Hyper(hyper.scatter, speed_share, group_share, hyper.score)
+        new = hyper.with_shares(speed_share, group_share)
         now, hyper, _ = self._settle("shares", now, hyper, new, change, sums)
         return now, hyper
 

@@ -5,7 +5,8 @@ All arrays have the chains first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,11 @@ def _draw_untruncated(n: int, rng: np.random.Generator) -> FloatArray:
     return np.asarray(root @ root.swapaxes(-1, -2))
 
 
+_FIELDS = ("scatter", "speed_share", "group_share", "score")
+_OF_SCATTER = ("precision", "root", "log_det", "log_density")
+"""What `Hyper` calculates of its Σ when it is first asked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hyper:
     """Hyperparameters of n campaigns, or chains.
@@ -101,19 +107,39 @@ class Hyper:
         """Return the number of campaigns."""
         return len(self.scatter)
 
+    @cached_property
+    def precision(self) -> FloatArray:
+        """Σ⁻¹, shape (n, 6, 6)."""
+        return np.asarray(np.linalg.inv(self.scatter))
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """F, shape (n, 6, 6), of V = F Fᵀ."""
+        return mean_root(self.scatter)
+
+    @cached_property
+    def log_det(self) -> FloatArray:
+        """Logarithm of the determinant of Σ, shape (n,)."""
+        return np.asarray(np.linalg.slogdet(self.scatter)[1])
+
+    @cached_property
+    def log_density(self) -> FloatArray:
+        """Log-density of Σ, shape (n,); see `log_density_of_scatter`."""
+        return log_density_of_scatter(self.scatter)
+
     def means(self, cells: Cells) -> FloatArray:
         """Return the means of the cells, shape (n, n_cell, 6)."""
-        root = mean_root(self.scatter)
+        root = self.root
         level = self.group_levels(cells)[:, cells.group_of]
         size = self.size_levels(cells)[:, cells.bin_of]
-        level[:, :, -1] = np.sqrt(1.0 - self.speed_share)[:, None] * level[:, :, -1]
+        level[:, :, -1] *= np.sqrt(1.0 - self.speed_share)[:, None]
         level[:, :, -1] += np.sqrt(self.speed_share)[:, None] * size
         return np.asarray(level @ root.swapaxes(-1, -2))
 
     def group_levels(self, cells: Cells) -> FloatArray:
         """Return γ, shape (n, n_group, 6)."""
         score = self.score[:, : N_COORDINATE * cells.n_group].reshape(len(self), N_COORDINATE, cells.n_group)
-        return np.asarray(np.einsum("ngh,njh->ngj", group_root(self.group_share, cells.n_group), score))
+        return np.asarray(group_root(self.group_share, cells.n_group) @ score.swapaxes(-1, -2))
 
     def size_levels(self, cells: Cells) -> FloatArray:
         """Return f, shape (n, n_bin)."""
@@ -121,16 +147,42 @@ class Hyper:
 
     def where(self, accept: NDArray[np.bool_], other: Hyper) -> Hyper:
         """Return `other` where `accept`, and this elsewhere."""
-        return Hyper(
-            np.where(accept[:, None, None], other.scatter, self.scatter),
-            np.where(accept, other.speed_share, self.speed_share),
-            np.where(accept, other.group_share, self.group_share),
-            np.where(accept[:, None], other.score, self.score),
-        )
+        if accept.all():
+            return other
+        if not accept.any():
+            return self
+
+        def mixed(now: FloatArray, then: FloatArray) -> FloatArray:
+            if now is then:
+                return now
+            return np.where(accept.reshape(-1, *(1,) * (now.ndim - 1)), then, now)
+
+        found = Hyper(*(mixed(getattr(self, name), getattr(other, name)) for name in _FIELDS))
+        for name in _OF_SCATTER:  # what both have calculated need not be calculated again
+            if name in vars(self) and name in vars(other):
+                vars(found)[name] = mixed(vars(self)[name], vars(other)[name])
+        return found
+
+    def alone(self) -> Hyper:
+        """Return the same without what was calculated of it, to be kept."""
+        return Hyper(self.scatter, self.speed_share, self.group_share, self.score)
 
     def with_score(self, score: FloatArray) -> Hyper:
         """Return the same with other scores."""
-        return replace(self, score=score)
+        return self._with_same_scatter(self.speed_share, self.group_share, score)
+
+    def with_shares(self, speed_share: FloatArray, group_share: FloatArray) -> Hyper:
+        """Return the same with other shares."""
+        return self._with_same_scatter(speed_share, group_share, self.score)
+
+    def with_scatter(self, scatter: FloatArray) -> Hyper:
+        """Return the same with other covariances."""
+        return Hyper(scatter, self.speed_share, self.group_share, self.score)
+
+    def _with_same_scatter(self, speed_share: FloatArray, group_share: FloatArray, score: FloatArray) -> Hyper:
+        found = Hyper(self.scatter, speed_share, group_share, score)
+        vars(found).update({name: vars(self)[name] for name in _OF_SCATTER if name in vars(self)})
+        return found
 
 
 def draw_hyper(n: int, cells: Cells, rng: np.random.Generator) -> Hyper:

@@ -7,7 +7,7 @@ import pandas as pd
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.cells import Cells, size_correlation
-from bayes_rs.campaign.hyperprior import Hyper, draw_hyper, group_root, mean_root
+from bayes_rs.campaign.hyperprior import Hyper, draw_hyper, group_root
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.priors.campaign import CampaignPrior, LearntGroup
 from bayes_rs.priors.interface import N_COORDINATE, LogRatioPrior
@@ -38,7 +38,7 @@ def learnt_prior(base: LogRatioPrior, hyper: Hyper, cells: Cells) -> CampaignPri
         With the mean E[μ] and the covariance E[Σ] + Cov[μ] of a record to come, by wind speed and group. Between the
         bins and beyond them the size has the mean and variance that its Gaussian process has, given the bins.
     """
-    root = mean_root(hyper.scatter)
+    root = hyper.root
     own = root[:, 0, -1]
     levels = hyper.group_levels(cells)  # (n, n_group, 6)
     between = np.linalg.solve(size_correlation(cells.speed, cells.speed), size_correlation(cells.speed, _GRID))

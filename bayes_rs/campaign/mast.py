@@ -19,8 +19,8 @@ from bayes_rs.priors.interface import LogRatioPrior
 from bayes_rs.priors.registry import Prior, make_prior
 
 _N_CHAIN = 16
-_BURN_IN = 200
-_N_SWEEP = 300
+_BURN_IN = 400
+_N_SWEEP = 600
 
 
 def prior_from_stresses(
@@ -88,8 +88,8 @@ def prior_from_stresses(
     hyper = draw_hyper(_N_CHAIN, cells, rng)
     kept: list[Hyper] = []
     for sweep in range(_BURN_IN + _N_SWEEP):
-        hyper = moves.move(hyper, fixed, adapt=sweep < _BURN_IN)
-        if sweep >= _BURN_IN:
+        hyper = moves.move(hyper, fixed, turn=sweep, adapt=sweep < _BURN_IN)
+        if sweep >= _BURN_IN and sweep % 2:
             kept.append(hyper)
     draws = Hyper(
         *(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign import small_matrices
 from bayes_rs.campaign.cells import Cells
-from bayes_rs.campaign.hyperprior import Hyper, group_root, log_density_of_scatter, mean_root
+from bayes_rs.campaign.hyperprior import Hyper, group_root
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.interface import N_COORDINATE
 
@@ -23,7 +23,7 @@ _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
 _UNSEEN = 1.0
 """Precision, of the prior's, up to which a direction is unseen: all records together say less than the prior does."""
-_KINDS = ("shift", "scale", "row", "spread")
+_KINDS = ("shift", "pair", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
 
@@ -87,7 +87,7 @@ class Frame:
     ----------
     mean : ndarray, shape (n, n_chain, n_record)
         Means of the records' priors.
-    of_prior : ndarray, shape (n, n, n_chain)
+    of_prior : ndarray, shape (n_chain, n, n)
         Precisions of the records' priors.
     log_prior_volume : ndarray, shape (n_chain,)
         ½ ln det of these.
@@ -108,32 +108,17 @@ class Frame:
 
     def log_prior(self, z: FloatArray) -> FloatArray:
         """Return the log-density of the records' priors, up to a constant, shape (n_chain, n_record)."""
-        centred = z - self.mean
-        square = np.einsum("icr,icr->cr", centred, np.einsum("ijc,jcr->icr", self.of_prior, centred))
+        centred = (z - self.mean).swapaxes(0, 1)  # (n_chain, n, n_record)
+        square = np.einsum("cir,cir->cr", centred, self.of_prior @ centred)
         return np.asarray(self.log_prior_volume[:, None] - 0.5 * square)
 
     def score(self, z: FloatArray) -> FloatArray:
         """Return Lᵀ (z − m): standard normal numbers, as far as the approximation holds."""
-        return np.stack([np.einsum("kcr,kcr->cr", self.lower[i:, i], z[i:]) for i in range(len(z))]) - self.middle
+        return small_matrices.times_upper(self.lower, z) - self.middle
 
     def place(self, score: FloatArray) -> FloatArray:
         """Return z with the score that is given."""
         return small_matrices.solve_upper(self.lower, self.middle + score)
-
-    def where(self, accept: NDArray[np.bool_], other: Frame) -> Frame:
-        """Return `other` for the chains that accept."""
-        if not accept.any():
-            return self
-        if accept.all():
-            return other
-        return Frame(
-            np.where(accept[:, None], other.mean, self.mean),
-            np.where(accept, other.of_prior, self.of_prior),
-            np.where(accept, other.log_prior_volume, self.log_prior_volume),
-            np.where(accept[:, None], other.lower, self.lower),
-            np.where(accept[:, None], other.middle, self.middle),
-            np.where(accept[:, None], other.log_volume, self.log_volume),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +133,20 @@ class State:
         Coordinates of the records, nuisances last.
     height : ndarray, shape (n_chain, n_record)
         Log-likelihoods of the records.
+    frame : Frame
+        The normal approximation at the hyperparameters.
+    score : ndarray, shape (n, n_chain, n_record)
+        What the frame makes of the coordinates.
+    log_prior : ndarray, shape (n_chain, n_record)
+        Log-densities of the records' priors.
     """
 
     hyper: Hyper
     coordinate: FloatArray
     height: FloatArray
+    frame: Frame
+    score: FloatArray
+    log_prior: FloatArray
 
 
 class RecordMoves:
@@ -172,6 +166,7 @@ class RecordMoves:
 
     def __init__(self, posterior: Posterior, cells: Cells, expansion: Expansion, rng: np.random.Generator) -> None:
         self.posterior = posterior
+        self.likelihood = posterior.likelihood.records_last()
         self.cells = cells
         self.rng = rng
         self.log_step = {kind: np.zeros(N_COORDINATE) for kind in _KINDS}
@@ -188,85 +183,107 @@ class RecordMoves:
         known = np.maximum(told, 0.0) * spread
         known = known / (1.0 + known)  # share of a record's scatter that its own data tell
         n_record = self.cells.n_record
-        self.scale = {
-            "shift": 1.0 / np.sqrt(1.0 + n_record * known / spread),
-            "scale": 1.0 / np.sqrt(1.0 + 2.0 * n_record * known**2),
-            "spread": np.ones(N_COORDINATE),
-        }
-        self.row_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
+        self.scale = {"shift": 1.0 / np.sqrt(1.0 + n_record * known / spread), "spread": np.ones(N_COORDINATE)}
+        # what the data tell well the other moves know, too: these are for what they tell badly
+        self.chance = {kind: _chances(1.0 - known) for kind in _KINDS}
+        self.chance["spread"] = _chances(1.0 - self.axes**2 @ known)
+        self.pair_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
 
     def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-likelihoods, shape (n_chain, n_record)."""
-        z = np.ascontiguousarray(coordinate.transpose(2, 1, 0))
-        return np.ascontiguousarray(self.posterior.likelihood.log_density(*self.posterior.seen(z)).T)
+        return np.asarray(self.likelihood.log_density(*self.posterior.seen(coordinate.transpose(2, 1, 0))).T)
 
-    def frame(self, hyper: Hyper) -> Frame:
-        """Return the normal approximation at hyperparameters."""
-        d, n_chain = self.posterior.n_coordinate, len(hyper)
-        precision = np.linalg.inv(hyper.scatter)
-        of_prior = np.zeros((d, d, n_chain))
-        of_prior[:N_COORDINATE, :N_COORDINATE] = np.moveaxis(precision, 0, -1)
-        extra = np.arange(N_COORDINATE, d)
-        of_prior[extra, extra] = 1.0
-        mean = np.zeros((d, n_chain, self.cells.n_record))
+    def frame(self, hyper: Hyper, *, like: Frame | None = None) -> Frame:
+        """Return the normal approximation at hyperparameters; `like` is one at the same Σ and other means."""
+        d, n_chain, of_record = self.posterior.n_coordinate, len(hyper), self.cells.of_record
         of_cell = hyper.means(self.cells)
-        mean[:N_COORDINATE] = np.moveaxis(of_cell, -1, 0)[:, :, self.cells.of_record]
-        pulled = np.zeros_like(mean)
-        pulled[:N_COORDINATE] = np.moveaxis(of_cell @ precision, -1, 0)[:, :, self.cells.of_record]
-        lower = small_matrices.factor(self.expansion.precision[:, :, None, :] + of_prior[..., None])
+        both = np.zeros((2, d, n_chain, of_cell.shape[1]))
+        both[0, :N_COORDINATE] = np.moveaxis(of_cell, -1, 0)
+        both[1, :N_COORDINATE] = np.moveaxis(of_cell @ hyper.precision, -1, 0)
+        mean, pulled = np.take(both, of_record, axis=-1)
         pulled += self.expansion.linear[:, None, :]
+        if like is not None:
+            return replace(like, mean=mean, middle=small_matrices.solve_lower(like.lower, pulled))
+        of_prior = np.zeros((n_chain, d, d))
+        of_prior[:, :N_COORDINATE, :N_COORDINATE] = hyper.precision
+        extra = np.arange(N_COORDINATE, d)
+        of_prior[:, extra, extra] = 1.0
+        lower = small_matrices.factor(self.expansion.precision, np.moveaxis(of_prior, 0, -1))
         return Frame(
             mean,
             of_prior,
-            np.asarray(-0.5 * np.linalg.slogdet(hyper.scatter)[1]),
+            -0.5 * hyper.log_det,
             lower,
             small_matrices.solve_lower(lower, pulled),
             small_matrices.log_diagonal(lower),
         )
 
-    def move_records(self, state: State, frame: Frame, *, walk: bool) -> State:
+    def place(self, hyper: Hyper, coordinate: FloatArray, height: FloatArray) -> State:
+        """Return the state of these hyperparameters and records."""
+        frame = self.frame(hyper)
+        return State(hyper, coordinate, height, frame, frame.score(coordinate), frame.log_prior(coordinate))
+
+    def move_records(self, state: State, *, walk: bool) -> State:
         """Move every record by itself: by the independence proposal and, if asked, by a walk of the same shape."""
-        d, z, height = self.posterior.n_coordinate, state.coordinate, state.height
+        d = self.posterior.n_coordinate
 
         def log_proposal(score: FloatArray) -> FloatArray:
             return np.asarray(-0.5 * (_DOF + d) * np.log1p(np.einsum("icr,icr->cr", score, score) / _DOF))
 
-        new = self.rng.standard_normal(z.shape) * np.sqrt(_DOF / self.rng.chisquare(_DOF, height.shape))
-        trial = frame.place(new)
-        now, then = frame.log_prior(z), frame.log_prior(trial)
-        trial_height = self.log_likelihood(trial)
-        log_ratio = trial_height - height + then - now + log_proposal(frame.score(z)) - log_proposal(new)
-        accept = self._accept("records, independent", log_ratio)
-        z, height = np.where(accept, trial, z), np.where(accept, trial_height, height)
+        new = self.rng.standard_normal(state.score.shape)
+        new *= np.sqrt(_DOF / (2.0 * self.rng.standard_gamma(0.5 * _DOF, state.height.shape)))
+        state = self._settle_records("records, independent", state, new, log_proposal(state.score) - log_proposal(new))
         if walk:
-            now = np.where(accept, then, now)
-            size = self.rng.choice([0.3, 1.0, 2.4], height.shape) / np.sqrt(d)
-            trial = z + small_matrices.solve_upper(frame.lower, self.rng.standard_normal(z.shape) * size)
-            trial_height = self.log_likelihood(trial)
-            accept = self._accept("records, walk", trial_height - height + frame.log_prior(trial) - now)
-            z, height = np.where(accept, trial, z), np.where(accept, trial_height, height)
-        return State(state.hyper, z, height)
+            size = self.rng.choice([0.3, 1.0, 2.4], state.height.shape) / np.sqrt(d)
+            step = self.rng.standard_normal(state.score.shape) * size
+            state = self._settle_records("records, walk", state, state.score + step, 0.0)
+        return state
 
-    def shift(self, state: State, frame: Frame, axis: int, *, adapt: bool) -> tuple[State, Frame]:
+    def _settle_records(self, what: str, state: State, score: FloatArray, log_ratio: FloatArray | float) -> State:
+        """Accept or reject new scores of the records, each by itself."""
+        trial = state.frame.place(score)
+        height, log_prior = self.log_likelihood(trial), state.frame.log_prior(trial)
+        accept = self._accept(what, log_ratio + (height - state.height) + (log_prior - state.log_prior))
+        for now, then in (
+            (state.coordinate, trial),
+            (state.score, score),
+            (state.height, height),
+            (state.log_prior, log_prior),
+        ):
+            np.copyto(then, now, where=~accept)
+        return State(state.hyper, trial, height, state.frame, score, log_prior)
+
+    def carry(self, state: State, kind: str, *, adapt: bool) -> State:
+        """Make a move that carries the records along: of the means (``"shift"``), or of Σ (``"spread"``, ``"pair"``).
+
+        Its axis, or coordinate, is chosen at random: more often one that the data tell badly.
+        """
+        axis = int(np.searchsorted(np.cumsum(self.chance[kind])[:-1], self.rng.uniform()))
+        if kind == "shift":
+            return self.shift(state, axis, adapt=adapt)
+        return self.stretch(state, kind, axis, adapt=adapt)
+
+    def shift(self, state: State, axis: int, *, adapt: bool) -> State:
         """Move the means, of all groups or of one, along an axis."""
         hyper, cells = state.hyper, self.cells
         n_chain = len(hyper)
         step = self._steps("shift", axis, n_chain) * self.scale["shift"][axis] * self.rng.standard_normal(n_chain)
-        moved = np.ones((n_chain, cells.n_group))
+        which = np.ones((n_chain, cells.n_group))
         if cells.n_group > 1:
             one = self.rng.integers(2 * cells.n_group, size=n_chain)  # half of the moves are of one group
-            moved[one < cells.n_group] = np.eye(cells.n_group)[one[one < cells.n_group]]
+            which[one < cells.n_group] = np.eye(cells.n_group)[one[one < cells.n_group]]
         # in the numbers γ, of which the means are F D γ
-        change = np.linalg.solve(mean_root(hyper.scatter), np.broadcast_to(self.axes[:, axis, None], (n_chain, 6, 1)))
+        change = np.linalg.solve(hyper.root, np.broadcast_to(self.axes[:, axis, None], (n_chain, 6, 1)))
         change = change[..., 0] * step[:, None]
         change[:, -1] /= np.sqrt(1.0 - hyper.speed_share)
-        between = np.linalg.solve(group_root(hyper.group_share, cells.n_group), moved[..., None])[..., 0]
+        between = np.linalg.solve(group_root(hyper.group_share, cells.n_group), which[..., None])[..., 0]
         score = hyper.score.copy()
         score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
         log_ratio = 0.5 * np.sum(hyper.score**2 - score**2, axis=1)
-        return self._carry("shift", axis, state, frame, hyper.with_score(score), log_ratio, adapt=adapt)
+        moved = hyper.with_score(score)
+        return self._carry("shift", axis, state, moved, self.frame(moved, like=state.frame), log_ratio, adapt=adapt)
 
-    def release(self, state: State, frame: Frame, directions: FloatArray, level: FloatArray) -> tuple[State, Frame]:
+    def release(self, state: State, directions: FloatArray, level: FloatArray) -> State:
         """Put the mean of all cells, along directions (6, k), to levels (n_chain, k) of its prior there.
 
         No likelihood decides: what the hyperparameters of other directions say of these is cut off. The records are
@@ -279,38 +296,31 @@ class RecordMoves:
         share = cells.count / cells.count.sum()
         mean = np.einsum("ncj,c->nj", hyper.means(cells), share)
         missing = (root @ level[..., None])[..., 0] - mean @ directions
-        change = np.linalg.solve(mean_root(hyper.scatter), (missing @ directions.T)[..., None])[..., 0]
+        change = np.linalg.solve(hyper.root, (missing @ directions.T)[..., None])[..., 0]
         change[:, -1] /= np.sqrt(1.0 - hyper.speed_share)
         alike = np.ones((n_chain, cells.n_group, 1))
         between = np.linalg.solve(group_root(hyper.group_share, cells.n_group), alike)[..., 0]
         score = hyper.score.copy()
         score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
         moved = hyper.with_score(score)
-        new_frame = self.frame(moved)
-        trial = new_frame.place(frame.score(state.coordinate))
+        frame = self.frame(moved, like=state.frame)
+        trial = frame.place(state.score)
         height = self.log_likelihood(trial)
-        where = np.asarray(np.isfinite(height).all(axis=1))
-        return (
-            State(
-                hyper.where(where, moved),
-                np.where(where[:, None], trial, state.coordinate),
-                np.where(where[:, None], height, state.height),
-            ),
-            frame.where(where, new_frame),
-        )
+        accept = np.asarray(np.isfinite(height).all(axis=1))
+        return self._mixed(state, State(moved, trial, height, frame, state.score, frame.log_prior(trial)), accept)
 
-    def stretch(self, state: State, frame: Frame, kind: str, axis: int, *, adapt: bool) -> tuple[State, Frame]:
-        """Change Σ: its spread along an axis, what the axis has in common with others, or the spread of a coordinate.
+    def stretch(self, state: State, kind: str, axis: int, *, adapt: bool) -> State:
+        """Change Σ: the spread of a coordinate, or what an axis has in common with another.
 
         Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
         grows by |A|⁷. The scores of the means are held fixed.
 
         Parameters
         ----------
-        state, frame : State, Frame
+        state : State
             Where the chains are.
         kind : str
-            ``"scale"``, ``"row"`` or ``"spread"``.
+            ``"pair"`` or ``"spread"``.
         axis : int
             Which axis, or coordinate.
         adapt : bool
@@ -318,15 +328,17 @@ class RecordMoves:
 
         Returns
         -------
-        state, frame : State, Frame
+        state : State
             Where they are then.
         """
         hyper = state.hyper
         n_chain = len(hyper)
         basis = np.eye(N_COORDINATE) if kind == "spread" else self.axes
         size = self._steps(kind, axis, n_chain)[:, None]
-        if kind == "row":
-            slope = size * ((self.row_scale[axis] * self.rng.standard_normal((n_chain, N_COORDINATE))) @ basis.T)
+        if kind == "pair":
+            other = self.rng.integers(N_COORDINATE, size=n_chain)
+            step = 2.0 * self.pair_scale[axis, other] * self.rng.standard_normal(n_chain)
+            slope = size * step[:, None] * basis.T[other]
         else:
             slope = size * self.scale[kind][axis] * self.rng.standard_normal((n_chain, 1)) * basis[:, axis]
         rate = slope @ basis[:, axis]
@@ -334,36 +346,50 @@ class RecordMoves:
         matrix = np.eye(N_COORDINATE) + basis[:, axis, None] * (growth[:, None] * slope)[:, None, :]
         scatter = matrix @ hyper.scatter @ matrix.swapaxes(-1, -2)
         scatter = 0.5 * (scatter + scatter.swapaxes(-1, -2))
-        log_ratio = log_density_of_scatter(scatter) - log_density_of_scatter(hyper.scatter)
-        log_ratio += (N_COORDINATE + 1.0) * rate
-        new = hyper.where(np.isfinite(log_ratio), replace(hyper, scatter=scatter))
-        return self._carry(kind, axis, state, frame, new, log_ratio, adapt=adapt)
+        new = hyper.with_scatter(scatter)
+        log_ratio = new.log_density - hyper.log_density + (N_COORDINATE + 1.0) * rate
+        new = hyper.where(np.isfinite(log_ratio), new)
+        return self._carry(kind, axis, state, new, self.frame(new), log_ratio, adapt=adapt)
 
     def _carry(
-        self, kind: str, axis: int, state: State, frame: Frame, hyper: Hyper, log_ratio: FloatArray, *, adapt: bool
-    ) -> tuple[State, Frame]:
+        self, kind: str, axis: int, state: State, hyper: Hyper, frame: Frame, log_ratio: FloatArray, *, adapt: bool
+    ) -> State:
         """Accept or reject new hyperparameters; the records keep their scores Lᵀ (z − m) in the new approximation.
 
         Were the likelihoods normal, this would be a move of the hyperparameters with the records integrated out.
         """
-        new_frame = self.frame(hyper)
-        trial = new_frame.place(frame.score(state.coordinate))
-        height = self.log_likelihood(trial)
-        change = height - state.height + new_frame.log_prior(trial) - frame.log_prior(state.coordinate)
-        change += frame.log_volume - new_frame.log_volume
+        trial = frame.place(state.score)
+        height, log_prior = self.log_likelihood(trial), frame.log_prior(trial)
+        change = (height - state.height) + (log_prior - state.log_prior)
+        if frame.lower is not state.frame.lower:
+            change += state.frame.log_volume - frame.log_volume
         with np.errstate(invalid="ignore"):
             accept = self._accept(kind, log_ratio + np.sum(change, axis=1))
         if adapt:
             self.log_step[kind][axis] += 0.5 * (accept.mean() - 0.4)
-        where = accept[:, None]
-        return (
-            State(
-                state.hyper.where(accept, hyper),
-                np.where(where, trial, state.coordinate),
-                np.where(where, height, state.height),
-            ),
-            frame.where(accept, new_frame),
-        )
+        return self._mixed(state, State(hyper, trial, height, frame, state.score, log_prior), accept)
+
+    @staticmethod
+    def _mixed(state: State, new: State, accept: NDArray[np.bool_]) -> State:
+        """Return the new state of the chains that accept; what is new is written over, and not to be used again."""
+        if accept.all():
+            return new
+        if not accept.any():
+            return state
+        reject = np.flatnonzero(~accept)
+        now, then = state.frame, new.frame
+        for one, other in (
+            (then.mean, now.mean),
+            (then.middle, now.middle),
+            (new.coordinate, state.coordinate),
+        ):
+            one[:, reject] = other[:, reject]
+        new.height[reject], new.log_prior[reject] = state.height[reject], state.log_prior[reject]
+        if then.lower is not now.lower:
+            then.lower[:, :, reject] = now.lower[:, :, reject]
+            then.of_prior[reject], then.log_volume[reject] = now.of_prior[reject], now.log_volume[reject]
+            then.log_prior_volume[reject] = now.log_prior_volume[reject]
+        return replace(new, hyper=state.hyper.where(accept, new.hyper))
 
     def _steps(self, kind: str, axis: int, n_chain: int) -> FloatArray:
         """Return sizes of steps, shape (n_chain,)."""
@@ -374,3 +400,9 @@ class RecordMoves:
         self.tried[what] += accept.size
         self.accepted[what] += float(np.count_nonzero(accept))
         return np.asarray(accept)
+
+
+def _chances(weight: FloatArray) -> FloatArray:
+    """Return probabilities that are larger where the weights are, and nowhere small."""
+    chance = weight + 0.1 * weight.max()
+    return np.asarray(chance / chance.sum())

@@ -12,7 +12,7 @@ from bayes_rs.campaign.cells import Cells, make_cells
 from bayes_rs.campaign.conjugate import HyperMoves
 from bayes_rs.campaign.hyperprior import Hyper, draw_coordinates, draw_hyper
 from bayes_rs.campaign.learning import hyper_table, hyper_values, learnt_prior
-from bayes_rs.campaign.record_moves import RecordMoves, State, expand, unseen_directions
+from bayes_rs.campaign.record_moves import RecordMoves, expand, unseen_directions
 from bayes_rs.errors import InputError
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
@@ -34,11 +34,17 @@ _TOGETHER = 1200
 """Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
-_BURN_IN = (50, 100, 150, 200)
+_CARRYING = ("shift", "spread", "pair", "spread", "pair")
+"""Moves of each sweep that carry the records along."""
+_EACH_WALK = 4
+"""Sweeps from one random walk of the records to the next."""
+_BURN_IN = (50, 75, 100, 125)
 """Sweeps of the parts of the burn-in; the proposals are shaped anew after each."""
+_START = 0.125
+"""Least variance that the records have in any direction when chains begin."""
 _MEMORY = 0.95
 """Correlation of an unseen level of the means from one sweep to the next: slow enough for the records to follow."""
-_BLOCK = 500
+_BLOCK = 250
 """Sweeps between two looks at the effective sample size."""
 
 
@@ -74,7 +80,7 @@ def sample_campaign(
     most_sweeps : int
         Bound on the sweeps of a chain after burn-in.
     n_chain : int
-        Independent chains; by default 4, and more for few records, whose chains cost little.
+        Independent chains; by default 4, and 8 for up to 150 records, whose chains cost little.
 
     Returns
     -------
@@ -99,7 +105,7 @@ def sample_campaign(
         )
     rng = as_generator(seed)
     if n_chain is None:
-        n_chain = N_CHAIN * int(np.clip(_TOGETHER // (N_CHAIN * len(speed)), 1, 5))
+        n_chain = N_CHAIN * int(np.clip(_TOGETHER // (N_CHAIN * len(speed)), 1, 2))
     given = make_cells(speed, group)
     order, cells = given.order(), given.in_order()
     run = _Run(posterior.take(order), base, cells, rng, n_chain)
@@ -145,14 +151,16 @@ class _Run:
         mode = np.ascontiguousarray(laplace_proposal(posterior).mode.T)
         self.moves = RecordMoves(posterior, cells, expand(posterior, mode), rng)
         self.hyper_moves = HyperMoves(cells, rng)
-        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes
+        # chains begin apart: at hyperparameters of the hyperprior, and records a little off their modes; but no Σ
+        # begins so narrow that the means of the bins follow the records' modes, from where it is a long way back
         hyper = draw_hyper(n_chain, cells, rng)
+        hyper = hyper.with_scatter(0.5 * hyper.scatter + _START * np.eye(N_COORDINATE))
         self.unseen = unseen_directions(posterior, mode.mean(axis=1))
         self.level = rng.standard_normal((n_chain, self.unseen.shape[1]))
         mode = np.repeat(mode[:, None, :], n_chain, axis=1)
         start = mode + 0.1 * rng.standard_normal(mode.shape)
         start = np.where(np.isfinite(self.moves.log_likelihood(start)), start, mode)
-        self.state = State(hyper, start, self.moves.log_likelihood(start))
+        self.state = self.moves.place(hyper, start, self.moves.log_likelihood(start))
 
     @property
     def _tallies(self) -> tuple[RecordMoves | HyperMoves, ...]:
@@ -176,7 +184,7 @@ class _Run:
             self._sweep(sweep, adapt=False)
             self.n_sweep += 1
             if self.n_sweep % _STRIDE == 0:
-                self.hypers.append(self.state.hyper)
+                self.hypers.append(self.state.hyper.alone())
                 stress = self.base.stress(self.state.coordinate[:N_COORDINATE].transpose(1, 2, 0))
                 self.means.append(stress.mean(axis=1))
             if self.n_sweep % self.stride == 0:
@@ -187,17 +195,15 @@ class _Run:
 
     def _sweep(self, sweep: int, *, adapt: bool) -> None:
         state = self.state
-        hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], adapt=adapt)
-        frame = self.moves.frame(hyper)
-        state = self.moves.move_records(State(hyper, state.coordinate, state.height), frame, walk=sweep % 2 == 1)
-        axis = self.rng.permutation(N_COORDINATE)
-        state, frame = self.moves.shift(state, frame, int(axis[0]), adapt=adapt)
-        for kind, where in zip(("scale", "row") if sweep % 2 else ("spread", "scale"), axis[1:], strict=False):
-            state, frame = self.moves.stretch(state, frame, kind, int(where), adapt=adapt)
+        hyper = self.hyper_moves.move(state.hyper, state.coordinate[:N_COORDINATE], turn=sweep, adapt=adapt)
+        state = self.moves.place(hyper, state.coordinate, state.height)
+        state = self.moves.move_records(state, walk=sweep % _EACH_WALK == 0)
+        for kind in _CARRYING:
+            state = self.moves.carry(state, kind, adapt=adapt)
         if self.unseen.shape[1]:
             self.level *= _MEMORY
             self.level += np.sqrt(1.0 - _MEMORY**2) * self.rng.standard_normal(self.level.shape)
-            state, frame = self.moves.release(state, frame, self.unseen, self.level)
+            state = self.moves.release(state, self.unseen, self.level)
         self.state = state
 
     def hyper_draws(self) -> Hyper:
@@ -214,18 +220,22 @@ class _Run:
     def effective(self, target_ess: float) -> tuple[float, float, bool]:
         """Return the smallest effective size and largest R-hat of all means, and whether the target is reached.
 
-        The standard deviations, which move more slowly, must have a quarter of the target, and R-hat below 1.1.
+        What moves more slowly must have a quarter of the target: the standard deviations, with R-hat below 1.1, and
+        the correlations.
         """
         n_chain = len(self.state.hyper)
         values = hyper_values(self.base, self.hyper_draws(), self.cells)
         means = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("mean")]
         means += list(np.moveaxis(np.stack(self.means, axis=-1), 1, 0))  # those of stresses, (n_chain, n_draw) each
         scatter = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("sd")]
+        shape = [value.reshape(n_chain, -1) for name, value in values.items() if name.startswith("corr")]
         of_means = diagnostics.diagnose(np.stack(means), n_chain)
         of_scatter = diagnostics.diagnose(np.stack(scatter), n_chain)
+        of_shape = diagnostics.diagnose(np.stack(shape), n_chain)
         ess, r_hat = float(of_means.ess_bulk.min()), float(of_means.r_hat.max())
         done = ess >= target_ess and r_hat < R_HAT_LIMIT
         done = done and bool(of_scatter.ess_bulk.min() >= 0.25 * target_ess and of_scatter.r_hat.max() < 1.1)
+        done = done and bool(of_shape.ess_bulk.min() >= 0.25 * target_ess)
         return ess, r_hat, done
 
     def acceptance(self) -> dict[str, float]:

@@ -10,17 +10,21 @@ import numpy as np
 from bayes_rs._validation import FloatArray
 
 
-def factor(matrix: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factors, shape (d, d, …), of symmetric positive definite matrices (d, d, …)."""
-    d = len(matrix)
-    lower = np.zeros(matrix.shape)
+def factor(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factors, shape (d, d, m, n), of all sums of matrices (d, d, n) and others (d, d, m).
+
+    What lies above the diagonal is not set.
+    """
+    d, m, n = len(one), other.shape[-1], one.shape[-1]
+    lower = np.empty((d, d, m, n))
+    flat = lower.reshape(d, d, m * n)  # the same numbers
     for j in range(d):
-        column = matrix[j:, j].copy()
-        for k in range(j):
-            column -= lower[j:, k] * lower[j, k]
+        column = lower[j:, j]
+        np.add(one[j:, j, None, :], other[j:, j, :, None], out=column)
+        if j:
+            flat[j:, j] -= np.einsum("ikn,kn->in", flat[j:, :j], flat[j, :j])
         np.sqrt(column[0], out=column[0])
-        column[1:] /= column[0]
-        lower[j:, j] = column
+        column[1:] *= 1.0 / column[0]
     return lower
 
 
@@ -40,6 +44,14 @@ def solve_upper(lower: FloatArray, vector: FloatArray) -> FloatArray:
         left[i] /= lower[i, i]
         left[:i] -= lower[i, :i] * left[i]
     return left
+
+
+def times_upper(lower: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return Lᵀ vector, shape (d, …)."""
+    found = np.empty(vector.shape)
+    for i in range(len(lower)):
+        np.einsum("k...,k...->...", lower[i:, i], vector[i:], out=found[i])
+    return found
 
 
 def log_diagonal(lower: FloatArray) -> FloatArray:

@@ -85,6 +85,16 @@ class Likelihood(ABC):
         arrays = {name: value[records] for name, value in parts.items() if isinstance(value, np.ndarray)}
         return cast("Self", replace(whole, **arrays))
 
+    def records_last(self) -> Self:
+        """Return the same likelihood with arrays that run along the records in memory.
+
+        So few draws of many records are quick, if the stresses run along the records, too.
+        """
+        whole: Any = self
+        parts = {field.name: getattr(self, field.name) for field in fields(whole)}
+        arrays = {name: np.asfortranarray(value) for name, value in parts.items() if isinstance(value, np.ndarray)}
+        return cast("Self", replace(whole, **arrays))
+
 
 class NormalLikelihood(Likelihood):
     """A likelihood whose data are normal, or Student-t, about what the stresses say, once they are reduced."""

@@ -72,6 +72,8 @@ class LogNormalLikelihood(NormalLikelihood):
     def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
+        if self.gain.flags.f_contiguous and not self.gain.flags.c_contiguous:  # see `records_last`
+            return self._whiten_along_records(stress, offset, gradient), self.log_normalizer[:, None]
         n_draw, n_beam = stress.shape[1], self.gain.shape[1]
         residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
         n_together = max(1, _BLOCK // max(1, n_draw * n_beam))
@@ -91,6 +93,21 @@ class LogNormalLikelihood(NormalLikelihood):
                     log_mean = np.log(mean, out=mean)
                 residual[part, draws] = self.datum[part, None, :] - log_mean @ whitening
         return residual, self.log_normalizer[:, None]
+
+    def _whiten_along_records(
+        self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
+    ) -> FloatArray:
+        """Return the residuals where all arrays run along the records in memory: sums over beams, not products."""
+        mean = np.einsum("rdk,rbk->rdb", stress, self.gain)
+        if self.place is not None and gradient is not None:
+            mean *= np.exp(np.einsum("rdg,rbg->rdb", gradient, self.place))
+        mean += self.offset[:, None, :]
+        if offset is not None:
+            mean += offset[:, :, None]
+        with np.errstate(invalid="ignore", divide="ignore"):  # see NormalLikelihood
+            log_mean = np.log(mean, out=mean)
+        residual = np.einsum("rdb,rsb->rds", log_mean, self.whitening)
+        return np.asarray(np.subtract(self.datum[:, None, :], residual, out=residual))
 
 
 def log_normal_likelihood(

@@ -68,6 +68,10 @@ class MixtureLikelihood(Likelihood):
         """Return the likelihood of some of the records."""
         return MixtureLikelihood(tuple(part.take(records) for part in self.parts), self.weight)
 
+    def records_last(self) -> MixtureLikelihood:
+        """Return the same likelihood with arrays that run along the records in memory."""
+        return MixtureLikelihood(tuple(part.records_last() for part in self.parts), self.weight)
+
     def _joint(self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None) -> FloatArray:
         """Return ln w_j + ln p(y | R, j), shape (n_part, n_record, n_draw)."""
         density = np.stack([part.log_density(stress, offset, gradient) for part in self.parts])

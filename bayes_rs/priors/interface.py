@@ -107,7 +107,7 @@ class LogRatioPrior(NormalPrior):
         """Map coordinates to stresses."""
         inner = self.centre + self.spread * coordinate
         log_uu, log_vv, log_ww = inner[..., 0], inner[..., 0] + inner[..., 1], inner[..., 0] + inner[..., 2]
-        return stress_from_correlations(log_uu, log_vv, log_ww, np.tanh(inner[..., 3:]))
+        return stress_from_correlations(log_uu, log_vv, log_ww, np.tanh(inner[..., 3:]), out=np.empty_like(inner))
 
     def coordinate(self, stress: FloatArray) -> FloatArray:
         """Return the coordinates, shape (..., 6), of positive definite stresses, shape (..., 6), m² s⁻²."""
@@ -123,11 +123,13 @@ def log_ratios(stress: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([np.log(uu), np.log(vv / uu), np.log(ww / uu)], axis=-1), fisher], axis=-1)
 
 
-def stress_from_correlations(log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray) -> FloatArray:
+def stress_from_correlations(
+    log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray, *, out: FloatArray | None = None
+) -> FloatArray:
     """Build stresses from log-variances and (ρ_uv, ρ_uw, partial ρ_vw·u); realizable for every |ρ| ≤ 1."""
     rho_uv, rho_uw, partial = rho[..., 0], rho[..., 1], rho[..., 2]
     rho_vw = rho_uv * rho_uw + partial * np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
-    stress = np.empty((*log_uu.shape, N_COORDINATE))
+    stress = np.empty((*log_uu.shape, N_COORDINATE)) if out is None else out
     stress[..., 0] = np.exp(log_uu)
     stress[..., 1] = np.exp(log_vv)
     stress[..., 2] = np.exp(log_ww)
