@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ class LogNormalLikelihood(NormalLikelihood):
         W; rows that a record does not need are zero.
     log_normalizer : ndarray, shape (n_record,)
         Log of the density's constant factor.
+    along_records : bool
+        Whether arrays run along the records in memory, for few draws of many records; see `records_last`.
 
     Notes
     -----
@@ -68,11 +70,16 @@ class LogNormalLikelihood(NormalLikelihood):
     n_datum: NDArray[np.int64]
     dof: float = np.inf
     place: FloatArray | None = None
+    along_records: bool = False
+
+    def records_last(self) -> LogNormalLikelihood:
+        """Return the same likelihood with arrays that run along the records in memory."""
+        return replace(super().records_last(), along_records=True)
 
     def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        if self.gain.flags.f_contiguous and not self.gain.flags.c_contiguous:  # see `records_last`
+        if self.along_records:
             return self._whiten_along_records(stress, offset, gradient), self.log_normalizer[:, None]
         n_draw, n_beam = stress.shape[1], self.gain.shape[1]
         residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
