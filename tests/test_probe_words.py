@@ -37,6 +37,20 @@ class TestWords:
         assert words.startswith("probe volume: pulsed, gate of 30 m and top-hat pulse of 30 m; it takes ")
         assert words.endswith("; --scan pulsed-4-beam@probe=point counts the beams as points")
 
+    def test_small_eddies_lose_more_and_those_beyond_the_noise_count_as_its_smallest(self):
+        scan = load_scan("pulsed-4-beam").select([0])
+        noise = calibrate(scan, FLOW, wind_speed=10.0, length_scale=[15.0, 100.0], cache=False)
+        speed, yaw = np.full(4, 10.0), np.zeros(4)
+        small, large, beyond, unknown = probe_loss(noise, speed, yaw, [15.0, 100.0, 5.0, np.nan])[:, 0]
+        flows = {
+            size: calibrate(scan, replace(FLOW, length_scale=size), wind_speed=10.0, cache=False)
+            for size in (15.0, 100.0)
+        }
+        assert small == pytest.approx(probe_loss(flows[15.0], [10.0], [0.0])[0, 0], abs=1e-6)
+        assert large == pytest.approx(probe_loss(flows[100.0], [10.0], [0.0])[0, 0], abs=1e-6)
+        assert beyond == small > 2.0 * large
+        assert unknown == probe_loss(noise, [10.0], [0.0])[0, 0]
+
     def test_of_focused_lidars_name_length_and_focus_and_keep_other_changes(self):
         noise = calibrate(load_scan("zx-tm@focus_distance=80").select([0, 12]), FLOW, wind_speed=10.0, cache=False)
         words = probe_words(noise, [10.0], [0.0])

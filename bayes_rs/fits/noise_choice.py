@@ -163,7 +163,8 @@ def about_probe(noise: Noise, records: xr.Dataset) -> str:
     """Say what the noise's probe volume does in the records' winds; empty if that is not known."""
     if not {"wind_speed", "yaw"} <= set(records.variables):
         return ""
-    return probe_words(noise, records["wind_speed"].values, np.deg2rad(records["yaw"].values))
+    own = records["length_scale"].values if "length_scale" in records else None
+    return probe_words(noise, records["wind_speed"].values, np.deg2rad(records["yaw"].values), own)
 
 
 def _length_scales(records: xr.Dataset, nuisances: Nuisances) -> list[float] | None:
