@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,7 +20,8 @@ import pytest
 from fit_scene import EMPTY_PART, N_RECORD, NOISE, OPTIONS, PART, SCAN, fit_to, make_records
 
 from bayes_rs import STRESSES, InputError, MannTurbulence, Nuisances, fit, load_scan, open_fit
-from bayes_rs.fits import fit_folder, plan
+from bayes_rs.campaign import sampling
+from bayes_rs.fits import campaign_job, fit_folder, plan
 from bayes_rs.fits import parts as fit_parts
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.tables import part_names
@@ -563,6 +565,19 @@ class TestDask:
     def test_a_cluster_writes_the_same_files(self, records, plain, client, tmp_path):
         found = fit_to(records, SCAN, tmp_path / "out", client=client, **OPTIONS)
         same_folders(Path(found.place), plain)
+
+    def test_a_campaign_is_the_same_on_a_cluster(self, records, client, monkeypatch, tmp_path):
+        monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))  # what is tested is the way of the numbers
+        monkeypatch.setattr(
+            campaign_job, "sample_campaign", partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
+        )
+        more = {**OPTIONS, "campaign": "on"}
+        found = [
+            fit_to(records, SCAN, tmp_path / name, **more, **way)
+            for name, way in (("alone", {}), ("cluster", {"client": client}))
+        ]
+        assert found[0].has_campaign
+        same_folders(Path(found[1].place), Path(found[0].place))
 
     def test_a_worker_that_is_killed_changes_no_number(self, records, plain, client, monkeypatch, tmp_path):
         client.run(fit_scene.set_variable, "BAYES_RS_TEST_DIED", str(tmp_path / "died"))
