@@ -195,6 +195,7 @@ def make_series(
     modulation: tuple[float, float] | None = None,
     front: float = 0.0,
     trend: float = 0.0,
+    changed_every: int = 1,
     noise: float = 0.0,
     wake: tuple[float, float, float] | None = None,
     dead: Sequence[int] = (),
@@ -229,6 +230,8 @@ def make_series(
         A step of the wind, m/s, smoothed over 10 s, of either sign, at any time in the middle 80 % of every record.
     trend : float
         A linear change of the wind over each record, m/s, of either sign.
+    changed_every : int
+        Front and trend are in every record (1), every second one (2), and so on.
     noise : float
         Standard deviation of white noise in every velocity, m/s.
     wake : (float, float, float), optional
@@ -282,7 +285,8 @@ def make_series(
     if wake is not None:
         velocity[:, _in_sector(n, wake[0], wake[1])] *= np.sqrt(1.0 + wake[2])
     wind = np.broadcast_to(speeds[:, None, None], (n_record, *when.shape)).copy()
-    sign = rng.choice([-1.0, 1.0], n_record)[:, None, None]
+    changed = np.arange(n_record) % changed_every == 0
+    sign = (rng.choice([-1.0, 1.0], n_record) * changed)[:, None, None]
     late = when[None] - seen.position[:-3, None, 0] / speeds[:, None, None]  # what is upwind changes earlier
     if front:
         moment = duration * rng.uniform(0.1, 0.9, n_record)[:, None, None]
@@ -307,6 +311,7 @@ def make_series(
         "modulation": modulation,
         "front": front,
         "trend": trend,
+        "changed_every": changed_every,
         "noise": noise,
         "wake": wake,
         "dead": list(dead),

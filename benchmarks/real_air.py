@@ -102,6 +102,8 @@ AIRS = {
     "kurtosis-5.7-slow": Case("intermittent, kurtosis 5.7 (300 s)", _NEUTRAL, {"modulation": (0.4, 300.0)}),
     "front": Case("a front of 3 m/s in every record", _NEUTRAL, {"front": 3.0}),
     "trend": Case("a trend of 2 m/s in every record", _NEUTRAL, {"trend": 2.0}),
+    "front-some": Case("a front of 3 m/s in every fifth record", _NEUTRAL, {"front": 3.0, "changed_every": 5}),
+    "trend-some": Case("a trend of 2 m/s in every fifth record", _NEUTRAL, {"trend": 2.0, "changed_every": 5}),
     "noise": Case("undeclared noise of 0.3 m/s", _NEUTRAL, {"noise": 0.3}),
     "day": Case("a day: 6 to 14 m/s, TI alike, R scattered by 0.3", _NEUTRAL, {"spread": 0.3}, wind="day"),
     "wake": Case("a wake: +50 % in a sector of 60°", _NEUTRAL, {"wake": (60.0, 120.0, 0.5)}, _MANY),

@@ -184,6 +184,11 @@ class TestWhatElseTheAirDoes:
         assert share.min() > 0.08
         assert np.ptp(with_front - plain, axis=1) == pytest.approx(3.0 * np.cos(np.deg2rad(15.0)))
 
+    def test_only_some_records_may_change(self):
+        plain, with_front = self.pair(front=3.0, changed_every=3)
+        changed = np.ptp(with_front - plain, axis=1) > 0.0
+        assert np.array_equal(changed, np.arange(len(plain)) % 3 == 0)
+
     def test_a_trend_adds_what_a_line_adds(self):
         plain, with_trend = self.pair(trend=2.0)
         added = (with_trend - plain).var(axis=1) / np.cos(np.deg2rad(15.0)) ** 2
