@@ -84,6 +84,13 @@ class TestRecords:
         other = pool_noise(_octaves(nothing, SIX, 3.2)[1], median=61.0, log_sd=0.8)
         assert alone.log_share[0] == pytest.approx(other.log_share[0], abs=0.1)
 
+    def test_a_record_alone_tells_its_noise_as_well_as_it_says(self):
+        for seed in range(6):
+            found = with_own_length_scale(simulated(noise=0.09, n_records=1, seed=seed), SIX)
+            error = float(found["instrument_noise"][0, 0]) - 0.09
+            assert abs(error) < 3.0 * float(found["instrument_noise_sd"][0, 0])
+            assert abs(error) < 0.05
+
     def test_records_that_are_not_looked_at_have_what_the_others_tell(self, monkeypatch):
         records = simulated(noise=0.09)
         whole = with_own_length_scale(records, SIX)["instrument_noise"].values[:, 0]

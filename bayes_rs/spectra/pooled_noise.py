@@ -26,10 +26,11 @@ _POWERS = np.array([0.0, 0.5, 1.0])  # of the variance that noise grows with
 _SPREADS = np.array([0.1, 0.3, 0.7])  # of ln noise, from record to record
 _LENGTH_FINE = 0.1  # step of ln L
 _LENGTH_SPREADS = np.array([0.1, 0.3, 0.7])  # of ln L
-_SCALE = 0.3  # m/s; half-normal: most lidars' noise is less
+_SCALE = 0.3  # m/s; that of most lidars is less
 _SHARE = 0.02  # of the variance: shares of noise below it are as likely a priori, above those of all sizes are
 _LIGHT = 1e-4
-_ROOTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+_REACH = 3.0  # standard deviations of a record's noise that are looked at
+_NODES = (7, 45, 11)  # at least; at most of few records and of many, of whom little is told only if each tells little
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,16 @@ class PooledNoise:
     power: float
 
     def nodes(self) -> tuple[FloatArray, FloatArray]:
-        """Return shares (n_record, n_node) and the logarithms of their weights (n_node,)."""
-        share = np.exp(self.log_share[:, np.newaxis] + self.log_sd[:, np.newaxis] * _ROOTS)
-        return np.minimum(share, np.exp(_SHARES[1])), np.log(_WEIGHTS / _WEIGHTS.sum())
+        """Return shares (n_record, n_node) and the logarithms of their weights (n_node,).
+
+        The nodes are as close as the likelihood of a record may be narrow, where the others tell little.
+        """
+        widest = float(self.log_sd.max()) if len(self.log_sd) else 0.0
+        most = _NODES[1] if len(self.log_sd) <= MOST_RECORDS else _NODES[2]
+        number = int(np.clip(np.ceil(2.0 * _REACH * widest / _NODE), _NODES[0], most))
+        place = np.linspace(-_REACH, _REACH, number)
+        share = np.exp(self.log_share[:, np.newaxis] + self.log_sd[:, np.newaxis] * place)
+        return np.minimum(share, np.exp(_SHARES[1])), -0.5 * place**2
 
 
 def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise:
@@ -78,8 +86,9 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
 
     κ is 0 for noise that is the same in all air, and up to 1 for that of lidars whose spectra broaden with the
     turbulence. Hyperparameters κ, τ and s₀, and the median and spread of ln L, which noise can be mistaken for, are
-    summed over a grid: none is plugged in. A priori the share q of the variance has the density 1/(q + 0.02), and s₀
-    is below (0.3 m/s)² in two of three campaigns. A record's own distribution leaves out what it tells itself.
+    summed over a grid: none is plugged in. The prior of s₀ is that of its share q of a variance, with the
+    density 1/(q + 0.02), times that of √s₀, half-normal with a scale of 0.3 m/s. A record's own distribution leaves out
+    what it tells itself.
     """
     variance = octaves.variance
     known = np.flatnonzero(np.isfinite(variance))
@@ -103,17 +112,25 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
     width = max(float(np.sqrt(weight @ (centre - share) ** 2)), _COARSE / 2.0)
     if width < 2.0 * _COARSE:  # told: look closer
         both = np.unique(np.column_stack([power, spread])[weight > _LIGHT], axis=0)
-        at = np.clip(np.linspace(share - 4.0 * width, share + 4.0 * width, 41), *_SHARES)
-        at = np.unique(at)
+        at = np.unique(np.clip(np.linspace(share - 4.0 * width, share + 4.0 * width, 41), *_SHARES))
         centre = np.repeat(at, len(both))
         power, spread = np.tile(both, (len(at), 1)).T
         weight, own = _posterior(density, fine, size[rows], (centre, power, spread), lengths, usual)
-    weights = np.broadcast_to(weight, (len(size), len(weight))).copy()
-    weights[rows] = own
-    expected = centre + (power - 1.0) * size[:, np.newaxis]
-    mean = np.sum(weights * expected, axis=1)
-    square = np.sum(weights * (spread**2 + (expected - mean[:, np.newaxis]) ** 2), axis=1)
+    mean, square = _moments(weight[np.newaxis], (centre, power, spread), size)
+    mean[rows], square[rows] = _moments(own, (centre, power, spread), size[rows])
     return PooledNoise(mean, np.sqrt(square), float(weight @ power))
+
+
+def _moments(
+    weight: FloatArray, hyper: tuple[FloatArray, FloatArray, FloatArray], size: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance of ln share of records, for weights (1, n_hyper) or (n_record, n_hyper)."""
+    centre, power, spread = hyper
+    mean, slope = weight @ centre, weight @ (power - 1.0)
+    both = (centre - mean[:, np.newaxis], power - 1.0 - slope[:, np.newaxis])
+    of_centre, mixed, of_slope = (np.sum(weight * a * b, axis=1) for a, b in ((both[0],) * 2, both, (both[1],) * 2))
+    square = weight @ spread**2 + of_centre + 2.0 * mixed * size + of_slope * size**2
+    return mean + slope * size, np.asarray(square)
 
 
 def _steps(ends: FloatArray, step: float) -> FloatArray:
