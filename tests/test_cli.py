@@ -218,6 +218,7 @@ class TestFit:
         told = done.stderr.splitlines()  # no warning, no progress bar where there is no terminal
         kinds = (
             "noise was made for L = ",
+            "instrument noise from the spectra: 0.9",
             "scatter of the variances",
             "steadiness: ",
             "flag other_length_scale: 2 of 2",
@@ -485,7 +486,7 @@ class TestLongFit:
             ),
             (("--yaw-sd", -1), ("Invalid yaw_sd_deg -1",)),
             (("--inflation-dof", 1), ("Invalid inflation_dof 1",)),
-            (("--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
+            (("--instrument-noise", 0, "--instrument-noise-sd", 0.5), ("Invalid instrument_noise 0",)),
             (
                 ("--length-scale", 50),
                 ("Invalid length_scale 50 m with length_scale_log_sd records",),

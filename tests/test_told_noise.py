@@ -105,6 +105,13 @@ class TestRecords:
         assert "instrument_noise" not in found
         assert "do not tell it, and none is taken off" in noise_words(found)
 
+    def test_a_record_without_a_beam_has_none(self):
+        records = simulated(noise=0.09)
+        records["flag"].values[5] = 1
+        found = with_own_length_scale(records, SIX)["instrument_noise"]
+        assert (found[5] == 0.0).all()
+        assert (found[4] > 0.05).all()
+
     def test_noise_that_is_known_is_not_looked_for(self):
         records = simulated(100.0, 0.2)
         for given in ({"instrument_noise": 0.2}, {}):

@@ -19,6 +19,13 @@ from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 
+LEAST_NOISE = 0.5
+"""Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
+
+
+LEAST_OF_USUAL = 0.25
+"""Share of the mean variance of a record that each of its beams is taken to have, for the error of its noise."""
+
 
 def can_be_fitted(batch: Batch) -> NDArray[np.int64]:
     """Return the numbers of the records that have a usable beam, a wind speed and a direction."""
@@ -42,10 +49,10 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     uncertain = options.nuisances
     own_noise = own_noise_sd = None
     if isinstance(options.instrument_noise, str):
-        own_noise = _own_noise(records, _sound(records))
+        own_noise = _own_noise(records, sound_beams(records))
         if uncertain.instrument_noise_log_sd == 0.0:
-            own_noise_sd = _own_noise_sd(records, _sound(records))
-        elif not np.all(own_noise[_sound(records)] > 0.0):
+            own_noise_sd = _own_noise_sd(records, sound_beams(records))
+        elif not np.all(own_noise[sound_beams(records)] > 0.0):
             raise InputError(
                 "Invalid instrument_noise 0 of records: its logarithm is to be uncertain, so its median must be above "
                 "0 m² s⁻², and the records hold or tell none; give a number as instrument_noise."
@@ -73,11 +80,15 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
 
 
 def used_beams(records: xr.Dataset, instrument_noise: float | str) -> NDArray[np.bool_]:
-    """Return which variances of records count, shape (n_record, n_beam): sound ones above their records' own noise."""
-    used = _sound(records)
+    """Return which variances of records count, shape (n_record, n_beam).
+
+    Sound ones, but for those below half of the instrument's own noise: no beam that works has so little. Variances that
+    are a little less than noise are what scatter makes, and the likelihood knows.
+    """
+    used = sound_beams(records)
     if not isinstance(instrument_noise, str):
         return used
-    return np.asarray(used & (records["variance"].values > _own_noise(records, used)))
+    return np.asarray(used & (records["variance"].values > LEAST_NOISE * _own_noise(records, used)))
 
 
 def record_yaw_sd(records: xr.Dataset, nuisances: Mapping[str, Any]) -> FloatArray | None:
@@ -89,7 +100,8 @@ def record_yaw_sd(records: xr.Dataset, nuisances: Mapping[str, Any]) -> FloatArr
     return own if missing is None else np.where(np.isnan(own), missing, own)
 
 
-def _sound(records: xr.Dataset) -> NDArray[np.bool_]:
+def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Return which variances of records were made of enough good samples, shape (n_record, n_beam)."""
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     return np.asarray((records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance))
 
@@ -136,7 +148,12 @@ def _own_noise_sd(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray | 
     sd = np.asarray(records["instrument_noise_sd"].values, dtype=np.float64)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     told = used & np.isfinite(sd) & (sd > 0.0)
-    return np.where(told, sd / np.where(told, variance, 1.0), 0.0) if told.any() else None
+    if not told.any():
+        return None
+    # over what a beam should have: a beam that sees nothing is not for that all uncertain
+    usual = np.sum(np.where(used, variance, 0.0), axis=1) / np.maximum(np.count_nonzero(used, axis=1), 1)
+    least = np.maximum(variance, LEAST_OF_USUAL * usual[:, np.newaxis])
+    return np.where(told, sd / np.where(told, least, 1.0), 0.0)
 
 
 def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:

@@ -18,7 +18,7 @@ from bayes_rs.alarms.variances import expected_variances
 from bayes_rs.alarms.words import CheckWords
 from bayes_rs.fits.batch import Batch, noise_at_median
 from bayes_rs.fits.fit_options import FitOptions
-from bayes_rs.fits.prepare import can_be_fitted
+from bayes_rs.fits.prepare import can_be_fitted, sound_beams
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.inflow import gradient_columns
 from bayes_rs.geometry.probe import PointProbe
@@ -111,6 +111,8 @@ def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, o
     some = np.unique(np.linspace(0, scan.n_beam - 1, min(scan.n_beam, MOST_BEAMS)).round().astype(np.int64))
     if len(some) < scan.n_beam:
         scan, noise = scan.select(scan.beam[some]), noise.select(scan.beam[some])
+    # with those beams, too, that have less variance than the instrument's noise: they are looked for
+    batch = replace(batch, used=sound_beams(records))
     data = _Data(records.isel(beam=some), scan, noise, _of_beams(batch, some), options)
     check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(batch))
     return CheckWords(check, scan.beam, float(np.median(noise.length_scale)))

@@ -156,8 +156,8 @@ def with_instrument_noise(
     Returns
     -------
     records : xarray.Dataset
-        With ``instrument_noise`` and ``instrument_noise_sd`` (record, beam), m² s⁻². Beams whose noise is not below
-        their variance are left out by `fit`, and flagged. Beams without an estimate get the mean of all.
+        With ``instrument_noise`` and ``instrument_noise_sd`` (record, beam), m² s⁻². Beams whose noise is twice
+        their variance or more are left out by `fit`, and flagged. Beams without an estimate get the mean of all.
 
     Raises
     ------

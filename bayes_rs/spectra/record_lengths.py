@@ -128,7 +128,12 @@ def _known_noise(records: xr.Dataset, instrument_noise: float | str) -> FloatArr
         return np.full(records.sizes["record"], float(instrument_noise))
     if _NOISE not in records:
         return None
-    own: FloatArray = np.asarray(records[_NOISE].values, dtype=np.float64)
+    return _mean_of_used(records, _NOISE)
+
+
+def _mean_of_used(records: xr.Dataset, name: str) -> FloatArray:
+    """Return the mean of a variable over each record's used beams, (n_record,); 0 where there are none."""
+    own: FloatArray = np.asarray(records[name].values, dtype=np.float64)
     used = (records["flag"].values == 0) & np.isfinite(own)
     count = np.maximum(np.count_nonzero(used, axis=1), 1)
     return np.asarray(np.sum(np.where(used, own, 0.0), axis=1) / count)
@@ -167,7 +172,7 @@ class _Noise:
         report["noise"]["power"] = self.power
         found = records
         if told:
-            size = np.nanmean(np.where(records["flag"].values == 0, records["variance"].values, np.nan), axis=1)
+            size = _mean_of_used(records, "variance")  # where no beam was looked at
             size[self.rows] = np.where(np.isfinite(self.variance), self.variance, size[self.rows])
             noise, noise_sd = np.zeros(len(size)), np.zeros(len(size))
             noise[self.rows] = share * size[self.rows]
