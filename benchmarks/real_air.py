@@ -8,7 +8,8 @@ fits them, with nothing else said. What came out is held against the truth, and 
     python benchmarks/real_air.py --list
     python benchmarks/real_air.py --page                              # writes the tables into docs/default-user.md
 
-A case takes 10 to 45 s of CPU; up to two minutes where a scan's nets of noise are made first. The run can be stopped and started again at any case.
+A case takes 10 to 45 s of CPU; up to two minutes where a scan's nets of noise are made first. The run
+can be stopped and started again at any case.
 """
 
 import argparse

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import bayes_rs as brs
 from bayes_rs.campaign.table import campaign_table
@@ -14,7 +15,8 @@ from bayes_rs.likelihoods.reduced_noise import ReducedRecordNoise
 from bayes_rs.likelihoods.scattered import shifted, shifted_reduced
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, pool_noise
-from bayes_rs.spectra.record_lengths import REPORT, _octaves, noise_words, with_own_length_scale, with_told_noise
+from bayes_rs.spectra.record_lengths import REPORT, _octaves, with_own_length_scale, with_told_noise
+from bayes_rs.spectra.told_noise import NOISE_REPORT, noise_words
 
 FLOW = brs.load_turbulence("fu-2022")
 SIX = brs.load_scan("6-beam@opening_angle_deg=45,focus_distance=52")
@@ -39,6 +41,10 @@ def simulated(length_scale=61.0, noise=0.0, *, scan=SIX, n_records=40, seed=5, s
 
 def report_of(records):
     return json.loads(records.attrs[REPORT])
+
+
+def told_of(records):
+    return json.loads(records.attrs[NOISE_REPORT])
 
 
 class TestRecords:
@@ -67,13 +73,13 @@ class TestRecords:
         size = np.geomspace(0.2, 5.0, 60)[np.random.default_rng(1).permutation(60)]
         plain = simulated(n_records=60, size=size)
         same = with_own_length_scale(simulated(noise=0.1, n_records=60, size=size), SIX)
-        assert report_of(same)["noise"]["power"] < 0.2
+        assert told_of(same)["power"] < 0.2
         assert float(same["instrument_noise"].median()) == pytest.approx(0.1, rel=0.15)
         # the same samples, each record in another size: its noise is in proportion
         for name in ("variance", "octave_variance"):
             plain[name] = simulated(noise=0.1, n_records=60)[name] * size.reshape(-1, *(1,) * (plain[name].ndim - 1))
         grown = with_own_length_scale(plain, SIX)
-        assert report_of(grown)["noise"]["power"] > 0.8
+        assert told_of(grown)["power"] > 0.8
         assert np.median(np.abs(np.log(grown["instrument_noise"].values[:, 0] / (0.1 * size)))) < 0.2
 
     def test_a_record_does_not_tell_itself_twice(self):
@@ -114,12 +120,14 @@ class TestRecords:
 
     def test_noise_that_is_known_is_not_looked_for(self):
         records = simulated(100.0, 0.2)
+        share = 100.0 * float(np.median(0.2 / records["variance"].mean("beam")))
+        own_words = f"instrument noise of the records' own: 0.45 m/s, {share:.1f} % of the variance; it is taken off"
         for given in ({"instrument_noise": 0.2}, {}):
             own = records if given else records.assign(instrument_noise=0.2 + 0.0 * records["variance"])
             found = with_own_length_scale(own, SIX, **given)
             assert abs(np.log(report_of(found)["length_scale"] / 100.0)) < 0.25
             assert "instrument_noise_sd" not in found
-            assert noise_words(found) == ""
+            assert noise_words(found) == ("" if given else own_words)
         short = with_own_length_scale(records, SIX, instrument_noise=0.0)
         assert report_of(short)["length_scale"] < 50.0  # noise that is not known of looks like small eddies
 
@@ -128,8 +136,20 @@ class TestRecords:
         found = with_told_noise(records, SIX)
         assert np.all(found["length_scale"] == 50.0)
         assert float(found["instrument_noise"].mean()) == pytest.approx(0.09, abs=0.012)
-        bare = records.drop_vars("octave_variance")
-        assert with_told_noise(bare, SIX) is bare
+        bare = with_told_noise(records.drop_vars("octave_variance"), SIX)
+        assert "instrument_noise" not in bare
+        assert "do not tell it" in noise_words(bare)
+        assert with_told_noise(found, SIX) is found
+
+    def test_many_records_whose_noise_differs(self):
+        """Errors are as large as they are said to be, also where each record's likelihood is narrow."""
+        own = 0.1 * np.exp(0.7 * np.random.default_rng(3).standard_normal(240))
+        parts = [simulated(noise=float(s), n_records=1, seed=index) for index, s in enumerate(own)]
+        records = xr.concat(parts, "record", combine_attrs="override")
+        found = with_own_length_scale(records, SIX)
+        z = (found["instrument_noise"].values[:, 0] - own) / found["instrument_noise_sd"].values[:, 0]
+        assert z.std() < 1.2
+        assert np.mean(np.abs(z) > 3.0) < 0.015
 
 
 class TestFit:
@@ -152,6 +172,30 @@ class TestFit:
         assert any(line.startswith("instrument noise from the spectra: 0.4") for line in said)
         again = brs.fit(fits["told"].records, SIX, **self.OPTIONS, **given)
         assert again.summary()["mean"].to_numpy() == pytest.approx(fits["told"].summary()["mean"].to_numpy())
+        # what a fit found without noise is not what is asked for
+        anew = brs.fit(fits["kept"].records, SIX, **self.OPTIONS, **given)
+        assert anew.summary()["mean"].to_numpy() == pytest.approx(fits["told"].summary()["mean"].to_numpy(), rel=1e-6)
+
+    def test_a_length_scale_of_ones_own_stays_in_the_records(self):
+        records = simulated(noise=0.09, n_records=6).assign(length_scale=("record", np.full(6, 150.0)))
+        first = brs.fit(records, SIX, **self.OPTIONS)
+        assert np.all(first.records["length_scale"] == 150.0)
+        assert first.records["instrument_noise"].mean() > 0.04
+        second = brs.fit(first.records, SIX, **self.OPTIONS)
+        assert second.summary()["mean"].to_numpy() == pytest.approx(first.summary()["mean"].to_numpy())
+
+    def test_a_record_without_wind_needs_no_noise(self):
+        records = simulated(noise=0.09, n_records=4)
+        records["wind_speed"].values[2] = np.nan
+        fit = brs.fit(records, SIX, nuisances=brs.Nuisances(instrument_noise_log_sd=0.3), **self.OPTIONS)
+        assert fit.n_fitted == 3
+
+    def test_noise_of_one_dimension_is_refused(self):
+        records = simulated(n_records=4)
+        for name in ("instrument_noise", "instrument_noise_sd"):
+            bad = records.assign(instrument_noise=0.0 * records["variance"]).assign({name: ("record", np.full(4, 0.1))})
+            with pytest.raises(brs.InputError, match=rf"Invalid {name} of the records, with dims \('record',\)"):
+                brs.fit(bad, SIX, **self.OPTIONS)
 
     def test_what_is_not_known_of_it_widens_the_intervals(self):
         records = with_own_length_scale(simulated(noise=0.2, n_records=4), SIX)
@@ -164,7 +208,7 @@ class TestFit:
         assert widths[2] > 1.1 * widths[0]
 
     def test_the_interval_of_a_campaign_holds_its_error(self):
-        """All records alike: the mean of ww has the standard deviation of the noise's error, and uw has none."""
+        """All records alike: means keep their values, variances get the noise's error, and tensors stay tensors."""
         stress = np.broadcast_to([1.0, 0.5, 0.4, 0.0, -0.1, 0.0], (1, 2000, 40, 6))
         campaign = SimpleNamespace(
             stress=stress,
@@ -177,7 +221,9 @@ class TestFit:
         width = table["high"] - table["low"]
         for name in ("uu", "vv", "ww"):
             assert width[name, "all"] == pytest.approx(2.0 * 1.645 * 0.02, rel=0.08)
-        assert width["uw", "all"] == 0.0
+        for name, value in (("uu", 1.0), ("ww", 0.4), ("uw", -0.1)):
+            assert table.loc[(name, "all"), "mean"] == pytest.approx(value, rel=3e-3)
+        assert width["rho_uw", "all"] == pytest.approx(0.0, abs=1e-12)
 
 
 class TestMoments:
@@ -189,10 +235,13 @@ class TestMoments:
         return theory_noise("6-beam", FLOW, wind_speed=10.0).for_records(np.full(2, 10.0), np.zeros(2))
 
     def test_one_amount_for_all_beams(self, at):
-        """y + δ of all beams, δ over y having the standard deviations t: their covariance grows by t tᵀ."""
+        """y times log-normal factors of mean 1 and standard deviations t, whose logarithms are one normal number."""
         found = shifted(at, self.SD)
         t = self.SD[0]
-        np.testing.assert_allclose(found.covariance[0], (1.0 + at.covariance[0]) * (1.0 + np.outer(t, t)) - 1.0)
+        s = np.sqrt(np.log1p(t**2))
+        np.testing.assert_allclose(found.covariance[0], (1.0 + at.covariance[0]) * np.exp(np.outer(s, s)) - 1.0)
+        np.testing.assert_allclose(1.0 + np.diag(found.covariance[0]), (1.0 + np.diag(at.covariance[0])) * (1.0 + t**2))
+        assert np.linalg.eigvalsh(np.log1p(found.covariance[0])).min() > 0.0
         np.testing.assert_allclose(found.covariance[1], at.covariance[1], atol=1e-15)
         assert len(np.unique(found.state)) == 2
 
@@ -202,6 +251,5 @@ class TestMoments:
         reduced = ReducedRecordNoise(at.gain, at.bias, left.T @ logs @ left, np.einsum("rbb->rb", logs), at.outside)
         found = shifted_reduced(reduced, left, self.SD)
         whole = np.log1p(shifted(at, self.SD).covariance)
-        # to first order: what is left is t⁴/2
-        np.testing.assert_allclose(found.covariance, left.T @ whole @ left, atol=0.01)
-        np.testing.assert_allclose(found.log_variance, np.einsum("rbb->rb", whole), atol=0.5 * 0.3**4)
+        np.testing.assert_allclose(found.covariance, left.T @ whole @ left, atol=1e-12)
+        np.testing.assert_allclose(found.log_variance, np.einsum("rbb->rb", whole), rtol=1e-12)

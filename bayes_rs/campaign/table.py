@@ -52,7 +52,7 @@ def campaign_table(
     chosen : ndarray of int, shape (n_record,), optional
         Which of all records were sampled: what `choose_records` gave.
     offset_sd : ndarray, shape (n_record,), optional
-        Standard deviation of what is left of the instrument's noise in the variances of the sampled records, m² s⁻².
+        Standard deviation of the error of the instrument's noise that all sampled records have in common, m² s⁻².
     seed : int
         Seed of the draws of the sampling error, where only some records were sampled, and of that of the noise.
 
@@ -173,15 +173,18 @@ def _bins(campaign: CampaignPosterior, rest: _Rest) -> Iterator[tuple[str, NDArr
 
 
 def _offset(draws: FloatArray, sd: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return draws of stresses from which one error of the instrument's noise is taken, the same in all records.
+    """Return draws of stresses from which one error δ of the instrument's noise is taken, the same in all records.
 
-    To first order in it R_ii exp(−δ/R_ii) is R_ii − δ, and it is never below zero.
+    R_ii is multiplied by a factor of mean 1 and of the standard deviation of δ/R_ii (1 at most), and the shear stresses
+    with the roots of both: so tensors stay tensors, and means stay means.
     """
-    found = np.array(draws)
-    amount = rng.standard_normal(len(draws))[:, None] * sd
+    normal = rng.standard_normal(len(draws))[:, None]
+    root = np.empty((*draws.shape[:2], _NORMAL))
     for index in range(_NORMAL):
-        found[..., index] *= np.exp(-np.clip(amount / found[..., index], -1.0, 1.0))
-    return found
+        log_sd = np.sqrt(np.log1p(np.minimum(sd / draws[..., index], 1.0) ** 2))
+        root[..., index] = np.exp(-0.5 * log_sd * normal - 0.25 * log_sd**2)
+    first, second = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # of uu, vv, ww, uv, uw, vw
+    return np.asarray(draws * root[..., first] * root[..., second])
 
 
 def _of_records(stress: FloatArray, wind_speed: FloatArray) -> dict[str, FloatArray]:

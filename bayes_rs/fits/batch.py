@@ -58,6 +58,8 @@ class Batch:
         Variance of the instrument's noise, m² s⁻², where the records hold their own; it replaces that of the options.
     instrument_noise_sd : ndarray, shape (n_record, n_beam), optional
         Its standard deviation over the beam's variance. The error is the same for all beams of a record.
+    noise_common_sd : ndarray, shape (n_record,), optional
+        Standard deviation of the part of that error that is the same in all records, m² s⁻².
     yaw_sd : ndarray, shape (n_record,), optional
         Standard deviations of the errors of the records' own directions, degrees, where the nuisances leave it to them.
     scatter : ndarray, shape (n_record, 2), optional
@@ -77,6 +79,7 @@ class Batch:
     turn: FloatArray | None = None
     instrument_noise: FloatArray | None = None
     instrument_noise_sd: FloatArray | None = None
+    noise_common_sd: FloatArray | None = None
     yaw_sd: FloatArray | None = None
     scatter: FloatArray | None = None
     length_log_sd: FloatArray | None = None
@@ -98,6 +101,7 @@ class Batch:
             None if self.turn is None else self.turn[records],
             None if self.instrument_noise is None else self.instrument_noise[records],
             None if self.instrument_noise_sd is None else self.instrument_noise_sd[records],
+            None if self.noise_common_sd is None else self.noise_common_sd[records],
             None if self.yaw_sd is None else self.yaw_sd[records],
             scatter=None if self.scatter is None else self.scatter[records],
             length_log_sd=None if self.length_log_sd is None else self.length_log_sd[records],

@@ -112,7 +112,7 @@ def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
         wind_speed=batch.wind_speed,
         stress_mean=job.mean[job.record],
         chosen=chosen,
-        offset_sd=_offset_sd(batch.take(chosen)),
+        offset_sd=None if batch.noise_common_sd is None else batch.noise_common_sd[chosen],
         seed=options.seed,
     )
     about = {
@@ -128,14 +128,6 @@ def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
         "prior_key": digest(found.prior),
     }
     return CampaignDone({TABLE: as_read(table), HYPER: as_read(found.hyper)}, found.prior, about)
-
-
-def _offset_sd(batch: Batch) -> FloatArray | None:
-    """Return the standard deviation of what is left of the instrument's noise in records, m² s⁻²; None if none is."""
-    if batch.instrument_noise_sd is None:
-        return None
-    sd = np.where(batch.used, batch.instrument_noise_sd * np.where(batch.used, batch.variance, 0.0), 0.0)
-    return np.asarray(sd.sum(axis=1) / np.maximum(np.count_nonzero(batch.used, axis=1), 1))
 
 
 def campaign_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[NDArray[np.int64], Posterior]:

@@ -61,8 +61,8 @@ class FitOptions:
     ``"emcee"`` is one ensemble for many records, driven by proposals that are fitted to each; ``"direct"`` draws
     independently from such proposals, weights and resamples; ``"auto"`` is direct, and emcee for the records whose
     weights are too uneven for that. All give the same posterior. A chain that still misses the target effective sample
-    size after `max_extension` doublings is flagged. Beams whose variance is not above the instrument's noise are left
-    out and flagged.
+    size after `max_extension` doublings is flagged. Beams whose variance is below half of the noise that records hold or tell
+    are left out and flagged.
 
     Examples
     --------
@@ -162,7 +162,8 @@ class FitOptions:
             raise InputError(f"Invalid nuisances {self.nuisances!r}: give bayes_rs.Nuisances(...).")
         if self.nuisances.instrument_noise_log_sd > 0.0 and self.instrument_noise == 0.0:
             raise InputError(
-                "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²."
+                "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²; "
+                "'records' takes what the records tell."
             )
         if self.target == "sonic" and self.likelihood != "log-normal":
             raise InputError(

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import xarray as xr
@@ -70,12 +71,13 @@ def noise_and_records(
         Takes lines that tell what was done.
     """
     fixed = not choice.of_records if noise is None else bool(np.ptp(noise.length_scale) == 0.0)
-    if fixed and LENGTH_REPORT in records.attrs:  # what another fit found of these records is not what is asked for
+    if LENGTH_REPORT in records.attrs and (fixed or _assumed_noise(records) != options.instrument_noise):
+        # what another fit found of these records is not what is asked for
         records = records.drop_vars(_OF_SPECTRA, errors="ignore").copy()
         del records.attrs[LENGTH_REPORT]
     if _needs_own_lengths(records, noise, options, choice):
         records = _with_lengths_of_steady(records, scan, options)
-        _tell_spectra(records, say)
+        _say_length(records, say)
     if noise is None:
         noise = _made_noise(records, scan, options, choice, say)
     if "length_scale" not in records and np.ptp(noise.length_scale) == 0.0 and "octave_variance" in records:
@@ -84,27 +86,30 @@ def noise_and_records(
         records = compared_length_scale(
             records, scan, float(noise.length_scale[0]), instrument_noise=options.instrument_noise
         )
-        _tell_spectra(records, say)
-    if (
-        options.instrument_noise == "records"
-        and "instrument_noise" not in records
-        and LENGTH_REPORT not in records.attrs
-    ):
+        _say_length(records, say)
+    if options.instrument_noise == "records":
         from bayes_rs.spectra.record_lengths import with_told_noise  # noqa: PLC0415 - not needed otherwise
+        from bayes_rs.spectra.told_noise import noise_words  # noqa: PLC0415 - as above
 
         records = with_told_noise(records, scan)
-        _tell_spectra(records, say)
+        if words := noise_words(records):
+            say(words)
     if words := about_probe(noise, records):
         say(words)
     records = with_block_checks(records, scan, noise, options, say)
     return noise, _with_yaw_sd(records, scan, noise, options.nuisances, say)
 
 
-def _tell_spectra(records: xr.Dataset, say: Say) -> None:
-    """Say which length scale and which instrument noise the records' spectra tell."""
-    from bayes_rs.spectra.record_lengths import length_words, noise_words  # noqa: PLC0415 - not needed otherwise
+def _assumed_noise(records: xr.Dataset) -> float | str:
+    """Return the instrument's noise that the length scale of records was found with."""
+    return cast("float | str", json.loads(records.attrs[LENGTH_REPORT]).get("instrument_noise", 0.0))
 
-    for words in filter(None, (length_words(records), noise_words(records))):
+
+def _say_length(records: xr.Dataset, say: Say) -> None:
+    """Say which length scale the records' spectra tell."""
+    from bayes_rs.spectra.record_lengths import length_words  # noqa: PLC0415 - not needed otherwise
+
+    if words := length_words(records):
         say(words)
 
 

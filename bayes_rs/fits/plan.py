@@ -140,6 +140,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
         "prior_name": prior.name,
         "prior_widths": [float(width) for width in prior.interval_widths(options.prob)],
         "length_scale": json.loads(records.attrs.get("length_scale_report", "null")),
+        "instrument_noise": json.loads(records.attrs.get("instrument_noise_report", "null")),
         "nuisances": options.nuisances.in_words(),
         "nuisance_names": list(options.nuisances.names),
         "doubts": doubt_lines(records),

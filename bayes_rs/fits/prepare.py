@@ -18,11 +18,10 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
+from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, check_noise_dims, mean_of_used
 
 LEAST_NOISE = 0.5
 """Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
-
-
 LEAST_OF_USUAL = 0.25
 """Share of the mean variance of a record that each of its beams is taken to have, for the error of its noise."""
 
@@ -47,12 +46,13 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     noise.check_scan(scan)
     _check_duration(records, noise)
     uncertain = options.nuisances
-    own_noise = own_noise_sd = None
+    own_noise = own_noise_sd = common_sd = None
     if isinstance(options.instrument_noise, str):
         own_noise = _own_noise(records, sound_beams(records))
         if uncertain.instrument_noise_log_sd == 0.0:
             own_noise_sd = _own_noise_sd(records, sound_beams(records))
-        elif not np.all(own_noise[sound_beams(records)] > 0.0):
+            common_sd = _common_noise_sd(records) if own_noise_sd is not None else None
+        elif not np.all(own_noise[sound_beams(records) & _with_wind(records)] > 0.0):
             raise InputError(
                 "Invalid instrument_noise 0 of records: its logarithm is to be uncertain, so its median must be above "
                 "0 m² s⁻², and the records hold or tell none; give a number as instrument_noise."
@@ -67,6 +67,7 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         gain_turn(records, scan),
         own_noise,
         own_noise_sd,
+        common_sd,
         group=campaign_groups(records, options.campaign_group),
     )
     if options.scatter == "records" and "variance_scatter" in records:
@@ -125,11 +126,7 @@ def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
     """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²; 0 if they hold none."""
     if "instrument_noise" not in records:
         return np.zeros(used.shape)
-    if records["instrument_noise"].dims != ("record", "beam"):
-        raise InputError(
-            f"Invalid instrument_noise of the records, with dims {records['instrument_noise'].dims}: they must be "
-            "('record', 'beam'), as with_instrument_noise makes it; or give a number as instrument_noise."
-        )
+    check_noise_dims(records, "instrument_noise")
     own = np.asarray(records["instrument_noise"].values, dtype=np.float64)
     bad = np.argwhere(used & ~(np.isfinite(own) & (own >= 0.0)))
     if len(bad):
@@ -143,8 +140,9 @@ def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
 
 def _own_noise_sd(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray | None:
     """Return how uncertain the instrument's noise is that records hold, over the variances; None if they do not say."""
-    if "instrument_noise_sd" not in records or records["instrument_noise_sd"].dims != ("record", "beam"):
+    if "instrument_noise_sd" not in records:
         return None
+    check_noise_dims(records, "instrument_noise_sd")
     sd = np.asarray(records["instrument_noise_sd"].values, dtype=np.float64)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     told = used & np.isfinite(sd) & (sd > 0.0)
@@ -154,6 +152,21 @@ def _own_noise_sd(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray | 
     usual = np.sum(np.where(used, variance, 0.0), axis=1) / np.maximum(np.count_nonzero(used, axis=1), 1)
     least = np.maximum(variance, LEAST_OF_USUAL * usual[:, np.newaxis])
     return np.where(told, sd / np.where(told, least, 1.0), 0.0)
+
+
+def _common_noise_sd(records: xr.Dataset) -> FloatArray:
+    """Return the error of the instrument's noise that all records have in common, (n_record,), m² s⁻².
+
+    Of noise that records do not say this of, all of its error is taken for common.
+    """
+    name = NOISE_COMMON_SD if NOISE_COMMON_SD in records else "instrument_noise_sd"
+    return mean_of_used(records, name)
+
+
+def _with_wind(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Return which records have a wind, (n_record, 1)."""
+    known = (records["wind_speed"].values > 0.0) & np.isfinite(records["yaw"].values)
+    return np.asarray(known[:, np.newaxis])
 
 
 def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:

@@ -111,7 +111,7 @@ def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, o
     some = np.unique(np.linspace(0, scan.n_beam - 1, min(scan.n_beam, MOST_BEAMS)).round().astype(np.int64))
     if len(some) < scan.n_beam:
         scan, noise = scan.select(scan.beam[some]), noise.select(scan.beam[some])
-    # with those beams, too, that have less variance than the instrument's noise: they are looked for
+    # with those beams, too, that have less than half of the instrument's noise: they are looked for
     batch = replace(batch, used=sound_beams(records))
     data = _Data(records.isel(beam=some), scan, noise, _of_beams(batch, some), options)
     check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(batch))

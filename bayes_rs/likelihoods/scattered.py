@@ -84,10 +84,12 @@ def shifted(noise: RecordNoise, relative_sd: FloatArray) -> RecordNoise:
     Returns
     -------
     noise : RecordNoise
-        With :math:`1 + K'_{ab} = (1 + K_{ab}) (1 + t_a t_b)`. What is left of an instrument's noise is such an
-        amount: it looks like an isotropic part of R.
+        With :math:`1 + K'_{ab} = (1 + K_{ab}) \exp(s_a s_b)` and :math:`s^2 = \ln(1 + t^2)`: log-normal, so that the
+        covariance of ln y stays positive. What is left of an instrument's noise is such an amount: it looks like an
+        isotropic part of R.
     """
-    factor = 1.0 + relative_sd[:, :, None] * relative_sd[:, None, :]
+    log_sd = np.sqrt(np.log1p(relative_sd**2))
+    factor = np.exp(log_sd[:, :, None] * log_sd[:, None, :])
     return replace(
         noise,
         covariance=(1.0 + noise.covariance) * factor - 1.0,
@@ -96,7 +98,7 @@ def shifted(noise: RecordNoise, relative_sd: FloatArray) -> RecordNoise:
 
 
 def shifted_reduced(noise: ReducedRecordNoise, left: FloatArray, relative_sd: FloatArray) -> ReducedRecordNoise:
-    """Return the reduced noise of records that are all shifted; as `shifted`, to first order in the square of t.
+    """Return the reduced noise of records that are all shifted; as `shifted`.
 
     Parameters
     ----------
@@ -110,13 +112,14 @@ def shifted_reduced(noise: ReducedRecordNoise, left: FloatArray, relative_sd: Fl
     Returns
     -------
     noise : ReducedRecordNoise
-        With C' = C + t tᵀ in place of C.
+        With C' = C + s sᵀ in place of C.
     """
-    seen = relative_sd @ left
+    log_sd = np.sqrt(np.log1p(relative_sd**2))
+    seen = log_sd @ left
     return replace(
         noise,
         covariance=noise.covariance + seen[:, :, None] * seen[:, None, :],
-        log_variance=noise.log_variance + relative_sd**2,
+        log_variance=noise.log_variance + log_sd**2,
     )
 
 

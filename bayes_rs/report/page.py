@@ -169,9 +169,8 @@ def _key_numbers(found: ReportData, scan: str) -> str:
     noise = found.run.get("noise")
     if isinstance(noise, dict) and "turbulence" in noise:
         entries.append(("Noise", f"{noise.get('method', '')}, {noise['turbulence']}"))
-    of_spectra = found.run.get("length_scale") or {}
-    for title, said in (("Length scale", of_spectra.get("words")), ("Instrument noise", of_spectra.get("noise_words"))):
-        if said:
+    for title in ("Length scale", "Instrument noise"):
+        if said := (found.run.get(title.lower().replace(" ", "_")) or {}).get("words"):
             start = title.lower()
             entries.append((title, str(said).removeprefix(f"{start} ").removeprefix(f"{start}: ")))
     return pairs(entries, "key-numbers")

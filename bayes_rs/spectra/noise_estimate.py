@@ -138,7 +138,7 @@ def estimate_instrument_noise(
 def with_instrument_noise(
     records: xr.Dataset, estimate: xr.Dataset, *, per: str = "instrument", known_positive: bool = True
 ) -> xr.Dataset:
-    """Return records with the instrument's noise, for ``fit(..., instrument_noise="records")``.
+    """Return records with the instrument's noise, which `fit` takes off their variances.
 
     Parameters
     ----------

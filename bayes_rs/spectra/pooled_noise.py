@@ -18,7 +18,7 @@ SHAPE_ERROR = 0.01
 """Standard deviation of what a spectrum of another shape makes look like noise, over the variance; measured in the air
 of eleven kinds without any (docs/spectra.md)."""
 TELLS = 0.05
-"""Standard deviation of a record's noise over its variance above which the records do not tell it."""
+"""Standard deviation of a record's noise over its variance up to which the records tell it, however small it is."""
 _SHARES = np.log([0.001, 0.95])  # of a record's variance
 _NODE, _FINE = 0.25, 0.05  # steps of ln share at which the likelihood is calculated, and summed
 _COARSE = 0.4  # step of the median share that is refined
@@ -30,7 +30,7 @@ _SCALE = 0.3  # m/s; that of most lidars is less
 _SHARE = 0.02  # of the variance: shares of noise below it are as likely a priori, above those of all sizes are
 _LIGHT = 1e-4
 _REACH = 3.0  # standard deviations of a record's noise that are looked at
-_NODES = (7, 45, 11)  # at least; at most of few records and of many, of whom little is told only if each tells little
+_NODES = (7, 45, 25)  # at least; at most of few records and of many, of whom little is told only if each tells little
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,14 @@ class PooledNoise:
         tells is not in it.
     power : float
         Of the variance that noise grows with, posterior mean.
+    common_log_sd : float
+        Standard deviation of ln s₀: what all records have the same error of.
     """
 
     log_share: FloatArray
     log_sd: FloatArray
     power: float
+    common_log_sd: float
 
     def nodes(self) -> tuple[FloatArray, FloatArray]:
         """Return shares (n_record, n_node) and the logarithms of their weights (n_node,).
@@ -118,7 +121,8 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
         weight, own = _posterior(density, fine, size[rows], (centre, power, spread), lengths, usual)
     mean, square = _moments(weight[np.newaxis], (centre, power, spread), size)
     mean[rows], square[rows] = _moments(own, (centre, power, spread), size[rows])
-    return PooledNoise(mean, np.sqrt(square), float(weight @ power))
+    common = float(np.sqrt(np.maximum(weight @ centre**2 - (weight @ centre) ** 2, 0.0)))
+    return PooledNoise(mean, np.sqrt(square), float(weight @ power), common)
 
 
 def _moments(

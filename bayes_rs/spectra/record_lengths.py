@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import erf, logsumexp
+from scipy.special import erf
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
@@ -22,7 +22,15 @@ from bayes_rs.spectra.octave_information import octave_information
 from bayes_rs.spectra.octave_likelihood import Octaves, averaged
 from bayes_rs.spectra.octave_theory import MOST_BEAMS, OctaveTheory, chosen_beams, length_nodes, octave_theory
 from bayes_rs.spectra.pooled_lengths import PRIOR_LOG_SD, PRIOR_MEDIAN, pool_lengths
-from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, TELLS, pool_noise
+from bayes_rs.spectra.told_noise import (
+    NOISE,
+    NOISE_COMMON_SD,
+    NOISE_REPORT,
+    NOISE_SD,
+    ToldNoise,
+    known_noise,
+    nothing_told,
+)
 from bayes_rs.turbulence.mann import load_turbulence
 
 REPORT = "length_scale_report"
@@ -36,7 +44,6 @@ _HALF = np.log(1.5)  # other length scales than by half are not worth a word
 _TELLS = 1.0  # decrease of the log-likelihood from its maximum to the ends, below which a record tells nothing
 _SAMPLES_OFF = 1.3  # samples over what the scan gives, above which its times are not those of the scan
 _MOST_PASSES = 6  # in which unsteady records are left out
-_NOISE, _NOISE_SD = "instrument_noise", "instrument_noise_sd"
 _USED = 0.2  # share of records that a beam must be used in, to be looked at
 
 
@@ -72,8 +79,9 @@ def with_own_length_scale(
     -------
     records : xarray.Dataset
         With ``length_scale`` (record), m, posterior medians, and ``length_scale_log_sd`` (record); and, where the
-        records tell their noise to 5 % of their variance, with ``instrument_noise`` and ``instrument_noise_sd``
-        (record, beam), m² s⁻². The attribute ``length_scale_report`` counts in JSON the records that tell something,
+        records tell their noise to 5 % of their variance, or to half of itself, with ``instrument_noise``,
+        ``instrument_noise_sd`` and, the part of it that all records share, ``instrument_noise_common_sd`` (record,
+        beam), m² s⁻². The attribute ``length_scale_report`` counts in JSON the records that tell something,
         and says what their distribution is.
 
     Raises
@@ -97,19 +105,18 @@ def with_own_length_scale(
     True
     """
     of_records = as_scan(scan).select(records["beam"].values)
-    known = _known_noise(records, instrument_noise)
+    known = known_noise(records, instrument_noise)
     prior = (float(length_scale_prior[0]), float(length_scale_prior[1]))
     rows, octaves = _octaves(records, of_records, gamma)
     log_density = np.zeros((records.sizes["record"], len(length_nodes())))
-    told: _Noise | None = None
-    if octaves is not None:
-        if known is None:
-            told = _Noise.of(rows, octaves, prior)
-            log_density[rows] = averaged(told.log_density, told.log_weight)
-        else:
-            share = known[rows] / octaves.variance
-            log_density[rows] = averaged(octaves.log_likelihood(np.nan_to_num(share)[:, np.newaxis]), np.zeros(1))
-    found = _pooled(records, log_density, prior, 0)
+    told: ToldNoise | None = None
+    if octaves is not None and known is None:
+        told = ToldNoise.of(rows, octaves, prior)
+        log_density[rows] = told.of_length()
+    elif octaves is not None and known is not None:
+        share = np.nan_to_num(known[rows] / octaves.variance)
+        log_density[rows] = averaged(octaves.log_likelihood(share[:, np.newaxis]), np.zeros(1))
+    found = _pooled(records, log_density, prior, 0, instrument_noise)
     if unsteady is not None and log_density.any():
         left_out: NDArray[np.bool_] = np.zeros(len(log_density), dtype=bool)
         for _ in range(_MOST_PASSES):
@@ -118,82 +125,19 @@ def with_own_length_scale(
                 break
             left_out |= more
             log_density[more] = 0.0
-            found = _pooled(records, log_density, prior, int(left_out.sum()))
-    return found if told is None else told.given_to(found)
+            found = _pooled(records, log_density, prior, int(left_out.sum()), instrument_noise)
+    if known is not None:
+        return found
+    return nothing_told(found) if told is None else told.given_to(found, json.loads(found.attrs[REPORT]))
 
 
-def _known_noise(records: xr.Dataset, instrument_noise: float | str) -> FloatArray | None:
-    """Return the instrument's noise in each record, (n_record,), m² s⁻²; None if it is to be told by the records."""
-    if not isinstance(instrument_noise, str):
-        return np.full(records.sizes["record"], float(instrument_noise))
-    if _NOISE not in records:
-        return None
-    return _mean_of_used(records, _NOISE)
-
-
-def _mean_of_used(records: xr.Dataset, name: str) -> FloatArray:
-    """Return the mean of a variable over each record's used beams, (n_record,); 0 where there are none."""
-    own: FloatArray = np.asarray(records[name].values, dtype=np.float64)
-    used = (records["flag"].values == 0) & np.isfinite(own)
-    count = np.maximum(np.count_nonzero(used, axis=1), 1)
-    return np.asarray(np.sum(np.where(used, own, 0.0), axis=1) / count)
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """The instrument's noise in records whose octaves are looked at: nodes of its share of the variance."""
-
-    rows: NDArray[np.int64]
-    variance: FloatArray
-    share: FloatArray
-    log_weight: FloatArray
-    log_density: FloatArray
-    power: float
-
-    @classmethod
-    def of(cls, rows: NDArray[np.int64], octaves: Octaves, prior: tuple[float, float]) -> _Noise:
-        pooled = pool_noise(octaves, median=prior[0], log_sd=prior[1])
-        share, log_weight = pooled.nodes()
-        return cls(rows, octaves.variance, share, log_weight, octaves.log_likelihood(share), pooled.power)
-
-    def given_to(self, records: xr.Dataset) -> xr.Dataset:
-        """Return records with their length scales with the noise, too, and words on it."""
-        report = json.loads(records.attrs[REPORT])
-        speed = np.asarray(records["wind_speed"].values, dtype=np.float64)[self.rows]
-        centre = np.log(report["length_scale"]) + report["slope"] * np.log(speed / report["wind_speed"])
-        width = np.hypot(report["spread"], report["log_sd"])
-        log_length = -0.5 * ((length_nodes() - centre[:, np.newaxis]) / width) ** 2
-        log_weight = self.log_weight + logsumexp(self.log_density + log_length[:, np.newaxis], axis=2)
-        weight = np.exp(log_weight - logsumexp(log_weight, axis=1, keepdims=True))
-        share = np.sum(weight * self.share, axis=1)
-        sd = np.sqrt(np.sum(weight * (self.share - share[:, np.newaxis]) ** 2, axis=1))
-        told = bool(np.median(sd) < TELLS)
-        report["noise"] = {"told": told, "share": float(np.median(share)), "share_sd": float(np.median(sd))}
-        report["noise"]["power"] = self.power
-        found = records
-        if told:
-            size = _mean_of_used(records, "variance")  # where no beam was looked at
-            size[self.rows] = np.where(np.isfinite(self.variance), self.variance, size[self.rows])
-            noise, noise_sd = np.zeros(len(size)), np.zeros(len(size))
-            noise[self.rows] = share * size[self.rows]
-            noise_sd[self.rows] = np.hypot(sd, SHAPE_ERROR) * size[self.rows]
-            report["noise"]["sd"] = float(np.sqrt(np.median(noise[self.rows])))
-            both, beams = ("record", "beam"), records.sizes["beam"]
-            found = records.assign(
-                {
-                    _NOISE: (
-                        both,
-                        np.repeat(noise[:, np.newaxis], beams, axis=1),
-                        {"units": "m2 s-2", "long_name": "variance of the instrument's noise"},
-                    ),
-                    _NOISE_SD: (both, np.repeat(noise_sd[:, np.newaxis], beams, axis=1), {"units": "m2 s-2"}),
-                }
-            )
-        report["noise_words"] = _noise_in_words(report["noise"])
-        return found.assign_attrs({REPORT: json.dumps(report)})
-
-
-def _pooled(records: xr.Dataset, log_density: FloatArray, prior: tuple[float, float], n_unsteady: int) -> xr.Dataset:
+def _pooled(
+    records: xr.Dataset,
+    log_density: FloatArray,
+    prior: tuple[float, float],
+    n_unsteady: int,
+    instrument_noise: float | str,
+) -> xr.Dataset:
     """Return records with their length scales, and the report on them."""
     speed = np.asarray(records["wind_speed"].values, dtype=np.float64)
     median, log_sd = (float(value) for value in prior)
@@ -211,6 +155,7 @@ def _pooled(records: xr.Dataset, log_density: FloatArray, prior: tuple[float, fl
         "own_log_sd": float(np.median(pooled.log_sd)),
         "prior": [median, log_sd],
         "n_unsteady": n_unsteady,
+        "instrument_noise": instrument_noise if isinstance(instrument_noise, str) else float(instrument_noise),
     }
     report["words"] = _in_words(report)
     return records.assign(
@@ -225,25 +170,25 @@ def with_told_noise(records: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
     Parameters
     ----------
     records : xarray.Dataset
-        From `make_records`, without ``instrument_noise``.
+        From `make_records`. Where they hold ``instrument_noise``, or were asked before, they stay as they are.
     scan : Scan, str or Path
         The scan that measured them.
 
     Returns
     -------
     records : xarray.Dataset
-        As `with_own_length_scale`, of whose report only the noise is left; unchanged if no octaves can be looked at.
+        As `with_own_length_scale`.
     """
-    if _octaves(records, as_scan(scan).select(records["beam"].values), GAMMA)[1] is None:
+    if NOISE in records or NOISE_REPORT in records.attrs:
         return records
-    own = with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan)
-    report = json.loads(own.attrs[REPORT])
-    kept = {name: report[name] for name in ("noise", "noise_words")}
-    return _with_noise_of(records, own).assign_attrs({REPORT: json.dumps(kept)})
+    if _octaves(records, as_scan(scan).select(records["beam"].values), GAMMA)[1] is None:
+        return nothing_told(records)
+    return _with_noise_of(records, with_own_length_scale(records.drop_vars(_NAMES, errors="ignore"), scan))
 
 
 def _with_noise_of(records: xr.Dataset, own: xr.Dataset) -> xr.Dataset:
-    return records.assign({name: own[name] for name in (_NOISE, _NOISE_SD) if name in own})
+    found = records.assign({name: own[name] for name in (NOISE, NOISE_SD, NOISE_COMMON_SD) if name in own})
+    return found.assign_attrs({name: own.attrs[name] for name in (NOISE_REPORT,) if name in own.attrs})
 
 
 def compared_length_scale(
@@ -309,22 +254,6 @@ def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict
 def length_words(records: xr.Dataset) -> str:
     """Say in one line which length scale records have, and where it comes from; empty if there is nothing to say."""
     return str(json.loads(records.attrs.get(REPORT, "{}")).get("words", ""))
-
-
-def noise_words(records: xr.Dataset) -> str:
-    """Say in one line which instrument noise the records' octaves tell; empty if that was not asked of them."""
-    return str(json.loads(records.attrs.get(REPORT, "{}")).get("noise_words", ""))
-
-
-def _noise_in_words(noise: dict[str, Any]) -> str:
-    if not noise["told"]:
-        return "instrument noise: the records do not tell it, and none is taken off their variances"
-    if noise["share"] < SHAPE_ERROR:
-        return f"instrument noise from the spectra: less than {100.0 * SHAPE_ERROR:.0f} % of the variances"
-    return (
-        f"instrument noise from the spectra: {noise['sd']:.2g} m/s, {100.0 * noise['share']:.1f} % of the variance "
-        f"(known to {100.0 * np.hypot(noise['share_sd'], SHAPE_ERROR):.1f} %); it is taken off"
-    )
 
 
 def _in_words(report: dict[str, Any]) -> str:

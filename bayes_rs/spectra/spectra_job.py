@@ -137,7 +137,7 @@ def run_spectra(
     scale = "the length scale of all" if one_length_scale else "its own length scale"
     say(f"records.nc: each record with {scale}, for bayes-rs fit")
     if known:
-        say("  and with the instrument's noise, which --instrument-noise records takes away there")
+        say("  and with the instrument's noise, which is taken off there")
     return fit
 
 
