@@ -61,8 +61,8 @@ class FitOptions:
     ``"emcee"`` is one ensemble for many records, driven by proposals that are fitted to each; ``"direct"`` draws
     independently from such proposals, weights and resamples; ``"auto"`` is direct, and emcee for the records whose
     weights are too uneven for that. All give the same posterior. A chain that still misses the target effective sample
-    size after `max_extension` doublings is flagged. Beams whose variance is below half of the noise that records hold or tell
-    are left out and flagged.
+    size after `max_extension` doublings is flagged. Beams whose variance is below half of the noise that records hold
+    or tell are left out and flagged.
 
     Examples
     --------
