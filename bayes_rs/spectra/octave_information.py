@@ -24,7 +24,7 @@ _SPEEDS = np.log([4.0, 16.0])
 _CORE, _LAG_STEP = 0.05, 0.2  # of L, and of the separations along the wind in asinh(separation / core)
 _NOISE = 0.02  # share of instrument noise at which the information is that of the table
 _NOISE_SD = 0.05
-_FEW = 0.8  # the few differences of the coarsest octaves tell less than the linearisation says; measured, see the docs
+_FEW = 0.4  # the few differences of the coarsest octaves tell less than the linearisation says; measured, see the docs
 
 
 @dataclass(frozen=True, eq=False)
