@@ -46,7 +46,8 @@ def run(monkeypatch, capsys, scene):
 def test_the_file_holds_the_table_of_the_function(run, scene, tmp_path):
     _, records, scan, noise = scene
     code, _, err = run(*FACTORS, "--seed", 7, "--prob", 0.8, "-o", tmp_path / "check.csv")
-    assert (code, err) == (0, [])
+    assert code == 0
+    assert err == ["instrument noise: the records do not tell it, and none is taken off their variances"]
     expected = prior_sensitivity(records, scan, noise=noise, seed=7, factors=(0.5, 3.0), prob=0.8)
     written = pd.read_csv(tmp_path / "check.csv")
     assert tuple(written.columns) == COLUMNS
@@ -105,8 +106,9 @@ def test_noise_is_made_where_no_file_is_given(scene):
     said = []
     table = prior_sensitivity(records, scan, seed=1, say=said.append)
     assert len(table) == 3 * len(STRESSES)
-    assert len(said) == 2  # the length scale, which records of variances do not tell, and the noise
+    assert len(said) == 3  # the length scale, which records of variances do not tell, the noise, and the instrument's
     assert "fu-2022" in said[1]
+    assert "do not tell it" in said[2]
 
 
 def test_refusals_come_before_the_work(run, tmp_path):
