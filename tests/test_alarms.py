@@ -261,7 +261,7 @@ class TestFit:
         spoiled = days["6-beam"].copy(deep=True)
         spoiled["variance"][::2, 3] = 0.02
         found = told(spoiled, "6-beam").flag & FLAGS["beams_disagree"]
-        assert np.count_nonzero(found[::2]) >= 17
+        assert np.count_nonzero(found[::2]) >= 15
         assert np.count_nonzero(found[1::2]) <= 1
 
     def test_a_wake_in_a_sector_is_named(self, days):
