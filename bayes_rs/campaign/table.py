@@ -82,7 +82,8 @@ def campaign_table(
     have these weights, too, but no auxiliary.
 
     An error of the instrument's noise is the same one in all records, so that their mean does not average it out. It
-    acts on variances as an isotropic part of R: each draw of all records has one of it, taken off uu, vv and ww alike.
+    acts on variances as an isotropic part δ of R: each draw of all records has one normal number, which multiplies
+    every R_ii by a log-normal factor of mean 1 and of the standard deviation of δ/R_ii, and R_ij by the roots of both.
 
     `decided` is 1 − variance of the number in the posterior over that in campaigns without data. A number of the size
     of uu is divided by the mean of uu for it, since what says how large turbulence is would otherwise seem to decide

@@ -79,8 +79,9 @@ def octave_information(theory: OctaveTheory, duration: float) -> Information:
 
     .. math:: Cov[e_{al}, e_{bm}] = 2 ‖(P_l − P_{l-1}) C_{ab} (P_m − P_{m-1})‖^2_F / (N_a N_b)
 
-    in Gaussian turbulence (Isserlis). The power is the claimed variance of ln L over the true one, at zero yaw, and
-    with point-like beams: a probe volume changes the finest octaves only, which tell little of L.
+    in Gaussian turbulence (Isserlis). The power is the claimed variance of ln L over the true one, times 0.4
+    for what the linearisation overstates, at zero yaw, and with point-like beams: a probe volume changes the finest
+    octaves only, which tell little of L.
 
     Records of more than 128 samples of a beam are thinned for this: what the beams share is in the coarse octaves.
     """

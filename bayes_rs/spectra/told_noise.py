@@ -70,19 +70,9 @@ def noise_words(records: xr.Dataset) -> str:
     )
 
 
-def without_told_noise(records: xr.Dataset) -> xr.Dataset:
-    """Return records without the noise that their octaves told before; what their user gave them stays."""
-    if NOISE_REPORT not in records.attrs:
-        return records
-    records = records.drop_vars((NOISE, NOISE_SD, NOISE_COMMON_SD), errors="ignore").copy()
-    del records.attrs[NOISE_REPORT]
-    return records
-
-
 def nothing_told(records: xr.Dataset) -> xr.Dataset:
     """Return records that say that they tell nothing of the instrument's noise."""
-    report = {"told": False}
-    return records.assign_attrs({NOISE_REPORT: json.dumps({**report, "words": _in_words(report)})})
+    return records.assign_attrs({NOISE_REPORT: json.dumps({"told": False, "words": _in_words({"told": False})})})
 
 
 @dataclass(frozen=True, eq=False)
