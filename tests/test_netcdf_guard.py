@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,15 +25,19 @@ from scenes import plain_noise, records_of
 
 from bayes_rs import fit, open_fit
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.readers import netcdf_guard
-from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_file import check_netcdf
 from bayes_rs.readers.netcdf_walk import find_fault
 from bayes_rs.readers.reading import read
 from bayes_rs.records.record_files import open_records
 from bayes_rs.result_folder import seal_folder
+from bayes_rs.turbulence.mann import load_turbulence
 
 SIX = six_beam(45.0, step=1.0)
+SIX_BEAM = load_scan("6-beam")
 SHORT = series_of(SIX, n_scan=8)
 READERS = Path(netcdf_guard.__file__).parent
 MISCHIEF = f"""
@@ -42,13 +47,13 @@ import netcdf_walk
 
 real = netcdf_walk.find_fault
 
-def find_fault(file, *, deep):
+def find_fault(file):
     name = os.path.basename(file)
     if name.startswith("hangs"):
         time.sleep(60.0)
     if name.startswith("dies"):
         os.kill(os.getpid(), signal.SIGSEGV)
-    return real(file, deep=deep)
+    return real(file)
 
 netcdf_walk.find_fault = find_fault
 netcdf_walk.main()
@@ -129,7 +134,7 @@ class TestDamagedFiles:
         for limit in (2.0, 1000.0):
             netcdf_guard.SECONDS = limit
             with pytest.raises(InputError, match=NO_END):
-                check_netcdf(file, guarded=True)
+                check_netcdf(file)
 
     @pytest.mark.usefixtures("mischief")
     def test_one_that_kills(self, tmp_path):
@@ -154,6 +159,35 @@ class TestDamagedFiles:
             load_noise(file)
         assert f"File {str(file)!r} cannot be read as NetCDF" in str(info.value)
         assert NO_END in str(info.value)
+
+    def test_noise_whose_fingerprint_fits(self, mischief, tmp_path):
+        """Anybody can make one: it is no signature."""
+        file = tmp_path / "hangs.nc"
+        plain_noise(SIX).save(file)
+        with pytest.raises(InputError, match=NO_END):
+            load_noise(file)
+        plain_noise(SIX).save(tmp_path / "a.nc")
+        assert load_noise(tmp_path / "a.nc").scan_name == SIX.name
+        assert mischief.process is not None
+
+    @pytest.mark.usefixtures("guard")
+    def test_a_scale_that_points_to_what_is_gone(self, tmp_path):
+        """The netCDF4 library dies on it, where that is installed; the library that looks through files reads it."""
+        file = write(tmp_path / "a.nc")
+        with h5py.File(file, "a") as opened:
+            del opened["radial_velocity"].attrs["DIMENSION_LIST"]
+            opened.create_dataset("gone", data=np.arange(3.0))
+            dangling = np.empty(1, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+            dangling[0] = np.array([opened["gone"].ref], dtype=h5py.ref_dtype)
+            opened["radial_velocity"].attrs.create("DIMENSION_LIST", dangling, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+            del opened["gone"]
+        done = subprocess.run(  # noqa: S603 - our own program
+            [sys.executable, "-m", "bayes_rs", "records", str(file), "--scan", "6-beam", "-o", str(tmp_path / "r.nc")],
+            capture_output=True, text=True, check=False, cwd=tmp_path,
+        )  # fmt: skip
+        assert done.returncode == 2, (done.returncode, done.stderr)
+        assert re.search(r"File '.*a\.nc' cannot be read as NetCDF: .*check that it is complete", done.stderr)
+        assert done.stderr.count("\n") == 1
 
     @pytest.mark.usefixtures("guard")
     def test_records_of_a_fit(self, tmp_path):
@@ -205,33 +239,69 @@ class TestDamagedFiles:
     def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
         """The library can take gigabytes before it says so: the next file has a new process."""
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
-        check_netcdf(good, guarded=True)
+        check_netcdf(good)
         first = guard.process.pid
         file.write_bytes(file.read_bytes().replace(b"GCOL", b"GCOK"))
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            check_netcdf(file, guarded=True)
-        check_netcdf(good, guarded=True)
+            check_netcdf(file)
+        check_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid != first
 
     def test_a_wrong_checksum_costs_no_new_process(self, guard, tmp_path):
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
-        check_netcdf(good, guarded=True)
+        check_netcdf(good)
         first = guard.process.pid
         raw = bytearray(file.read_bytes())
         raw[raw.find(b"radial_velocity") + 3] ^= 1
         file.write_bytes(raw)
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*checksum.*; check that it"):
-            check_netcdf(file, guarded=True)
-        check_netcdf(good, guarded=True)
+            check_netcdf(file)
+        check_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid == first
 
-    @pytest.mark.usefixtures("guard")
-    @pytest.mark.parametrize("guarded", [True, False])
-    def test_the_words_are_the_same_without_it(self, tmp_path, guarded):
+    @pytest.mark.parametrize("usable", [True, False])
+    def test_the_words_are_the_same_without_it(self, guard, tmp_path, usable):
+        guard.usable = usable
         file = write(tmp_path / "a.nc")
         file.write_bytes(file.read_bytes()[:-100])
         with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: Unable to .*truncated file.*; check"):
-            check_netcdf(file, guarded=guarded)
+            check_netcdf(file)
+
+
+class TestOneDoor:
+    def test_nothing_else_opens_a_netcdf_file(self):
+        """A library that guesses its engine takes another than the one that has looked through the file."""
+        opening = re.compile(r"xr\.(open|load)_|netCDF4|h5py\.File\(")
+        package = READERS.parent
+        found = {
+            file.relative_to(package).as_posix() for file in package.rglob("*.py") if opening.search(file.read_text())
+        }
+        assert found == {"readers/netcdf_file.py", "readers/netcdf_walk.py"}
+
+    @pytest.mark.usefixtures("guard")
+    @pytest.mark.parametrize(("kind", "engine"), [({"engine": "h5netcdf"}, "h5netcdf"), ({"engine": "scipy"}, "scipy")])
+    def test_its_engine_is_named(self, tmp_path, kind, engine):
+        SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32)).to_netcdf(tmp_path / "a.nc", **kind)
+        assert check_netcdf(tmp_path / "a.nc") == engine
+
+    @pytest.mark.usefixtures("guard")
+    @pytest.mark.parametrize(
+        ("content", "words"),
+        [
+            (b"CDF\5" + bytes(40), "it is of the kind CDF-5; convert it with 'nccopy -k netCDF-4'"),
+            (b"CDF", "its version 0 is unknown"),
+            (b"CDF\7" + bytes(40), "its version 7 is unknown"),
+            (b"time,beam\n", "it has no header of such a file"),
+            (b"", "it has no header of such a file"),
+        ],
+    )
+    def test_what_has_none(self, tmp_path, content, words):
+        file = tmp_path / "a.nc"
+        file.write_bytes(content)
+        with pytest.raises(InputError) as info:
+            read(file, SIX)
+        words = f"File {str(file)!r} cannot be read as NetCDF: {words}; check that it is complete and not damaged."
+        assert str(info.value) == words
 
 
 class TestGoodFiles:
@@ -245,15 +315,15 @@ class TestGoodFiles:
     @pytest.mark.parametrize("name", ["two\nlines.nc", "Göttingen 風.nc", os.fsdecode(b"\xff\xfe.nc"), ' "\\.nc'])
     def test_any_name(self, guard, tmp_path, name):
         file = write(tmp_path / "a.nc").rename(tmp_path / name)
-        check_netcdf(file, guarded=True)
+        check_netcdf(file)
         assert guard.process is not None
 
     @pytest.mark.usefixtures("guard")
     def test_a_relative_name_after_a_change_of_folder(self, tmp_path, monkeypatch):
         write(tmp_path / "a.nc")
-        check_netcdf(tmp_path / "a.nc", guarded=True)
+        check_netcdf(tmp_path / "a.nc")
         monkeypatch.chdir(tmp_path)
-        check_netcdf(Path("a.nc"), guarded=True)
+        check_netcdf(Path("a.nc"))
 
     @pytest.mark.usefixtures("guard")
     def test_whatever_hdf5_can_hold(self, tmp_path):
@@ -276,26 +346,37 @@ class TestGoodFiles:
             words.attrs["empty"] = h5py.Empty("S1")
             words.attrs["latin"] = np.bytes_(b"\xe9")
             del opened["gone"]
-        check_netcdf(file, guarded=True)
-        assert find_fault(str(file), deep=True) == ""
+        check_netcdf(file)
+        assert find_fault(str(file)) == ""
 
     @pytest.mark.usefixtures("guard")
     def test_threads(self, tmp_path):
         files = [write(tmp_path / f"{number}.nc") for number in range(4)]
         with ThreadPoolExecutor(4) as pool:
-            list(pool.map(lambda file: check_netcdf(file, guarded=True), files * 10))
+            list(pool.map(check_netcdf, files * 10))
 
     def test_a_process_that_was_killed_in_between(self, guard, tmp_path):
         """It is not the next file's fault, whether that is noticed before the request or after."""
-        file = write(tmp_path / "a.nc")
-        check_netcdf(file, guarded=True)
+        files = iter([write(tmp_path / f"{number}.nc") for number in range(3)])
+        check_netcdf(next(files))
         os.kill(guard.process.pid, signal.SIGKILL)
-        check_netcdf(file, guarded=True)
+        check_netcdf(next(files))
         killed = guard.process
         os.kill(killed.pid, signal.SIGKILL)
         killed.wait()
-        check_netcdf(file, guarded=True)
+        check_netcdf(next(files))
         assert guard.process.pid != killed.pid
+
+    def test_a_good_file_is_looked_through_once(self, guard, tmp_path):
+        """It is opened to see its kind, and again to read it; after a change it is another file."""
+        file = write(tmp_path / "a.nc")
+        check_netcdf(file)
+        guard.end()
+        check_netcdf(file)
+        assert guard.process is None
+        write(file)
+        check_netcdf(file)
+        assert guard.process is not None
 
     def test_an_interrupt(self, mischief, tmp_path):
         """What was asked before it is not taken for the next answer."""
@@ -305,11 +386,11 @@ class TestGoodFiles:
         before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
         try:
             with pytest.raises(KeyboardInterrupt):
-                check_netcdf(file, guarded=True)
+                check_netcdf(file)
         finally:
             signal.signal(signal.SIGINT, before)
         assert mischief.process is None
-        check_netcdf(write(tmp_path / "a.nc"), guarded=True)
+        check_netcdf(write(tmp_path / "a.nc"))
 
 
 class TestWithoutAProcess:
@@ -324,8 +405,9 @@ class TestWithoutAProcess:
         assert "without a process that protects from damaged ones" in caplog.messages[0]
         assert guard.process is None
 
-    def test_own_files_need_none(self, guard, tmp_path):
-        check_netcdf(write(tmp_path / "a.nc"))
+    def test_what_is_shipped_needs_none(self, guard):
+        find_shipped_noise.__globals__["_load"].cache_clear()
+        assert find_shipped_noise(SIX_BEAM, load_turbulence("fu-2022")) is not None
         assert guard.process is None
 
 
@@ -333,9 +415,9 @@ ASK = (
     "import sys\n"
     "from pathlib import Path\n"
     "from bayes_rs.readers import netcdf_guard\n"
-    "from bayes_rs.readers.netcdf_check import check_netcdf\n"
+    "from bayes_rs.readers.netcdf_file import check_netcdf\n"
     "assert netcdf_guard._guard.process is None\n"
-    "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+    "check_netcdf(Path(sys.argv[1]))\n"
     "print(netcdf_guard._guard.process.pid, flush=True)\n"
 )
 
@@ -370,7 +452,8 @@ class TestItsEnd:
         hang = (
             f"netcdf_guard._guard.end()\nnetcdf_guard._SCRIPT = {str(script)!r}\nnetcdf_guard.SECONDS = 1.5\n"
             "import threading\n"
-            "threading.Thread(target=lambda: netcdf_guard.ask(Path(sys.argv[1]).with_name('hangs.nc'))).start()\n"
+            "file = Path(sys.argv[1]).with_name('hangs.nc')\n"
+            "threading.Thread(target=netcdf_guard.find_fault, args=(file,)).start()\n"
             "while not (netcdf_guard._guard.process and netcdf_guard._guard.process.pid): pass\n"
             "import time; time.sleep(1.0)\n"
             "print(netcdf_guard._guard.process.pid, flush=True)\n"
@@ -389,14 +472,15 @@ class TestItsEnd:
             "warnings.simplefilter('ignore', DeprecationWarning)\n"
             "first = netcdf_guard._guard.process.pid\n"
             "child = os.fork()\n"
-            "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+            "netcdf_guard._guard.good = None\n"
+            "check_netcdf(Path(sys.argv[1]))\n"
             "same = netcdf_guard._guard.process.pid == first\n"
             "if child == 0:\n"
             "    netcdf_guard._guard.end()\n"
             "    os._exit(0 if not same else 1)\n"
             "assert os.waitpid(child, 0)[1] == 0\n"
             "assert same\n"
-            "check_netcdf(Path(sys.argv[1]), guarded=True)\n"
+            "check_netcdf(Path(sys.argv[1]))\n"
         )
         process, pid = ask(ASK + fork, write(tmp_path / "a.nc"))
         assert process.communicate() == (b"", b"")

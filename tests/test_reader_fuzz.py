@@ -32,7 +32,7 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.readers import netcdf_guard, read, read_statistics
-from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_file import check_netcdf
 
 SIX = six_beam(45.0, step=1.0)
 ZX = load_scan("zx-tm")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -38,7 +37,7 @@ from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
-from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 PRIOR_FILE = "prior.parquet"
@@ -220,11 +219,7 @@ class _InFolder:
 
     def records(self) -> xr.Dataset:
         file = self.folder.checked(RECORDS_FILE)
-        check_netcdf(file, guarded=True)
-        try:
-            return xr.load_dataset(io.BytesIO(self.folder.read(RECORDS_FILE)), engine="h5netcdf")
-        except (ValueError, KeyError, OSError) as error:  # no such file was ever written by a fit
-            raise InputError(f"File {str(file)!r} cannot be read as records: {error}.") from error
+        return load_netcdf(file, content=self.folder.read(RECORDS_FILE))
 
     def prior_draws(self) -> FloatArray:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))

@@ -18,6 +18,10 @@ NOISE_METHODS: tuple[str, ...] = ("boxes", "theory", "given")
 """Where the numbers of a noise can come from."""
 
 _N_STRESS = len(STRESSES)
+_CAN_BE = (("bias", -1.0, 10.0), ("gain", -10.0, 10.0))
+"""What holds of any lidar, with room: a variance is not below zero, and a beam's direction is a unit vector."""
+_MOST_VARIANCE = 100.0
+"""Relative variance of an estimated variance, likewise: one independent Gaussian value has 2."""
 
 
 def checked_fields(noise: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,11 +85,24 @@ def _arrays(noise: Mapping[str, Any], n_state: int, n_beam: int, where: str) -> 
     arrays = {
         name: _with_states(values, n_state, shapes[name], what=f"{name} in {where}") for name, values in given.items()
     }
+    for name, least, most in _CAN_BE:
+        _check_range(arrays[name], least, most, what=f"{name} in {where}")
     for matrix in arrays["covariance"]:
         _check_covariance(matrix, where)
+    variance = np.einsum("saa->sa", arrays["covariance"])
+    _check_range(variance, 0.0, _MOST_VARIANCE, what=f"variance on the diagonal of the covariance in {where}")
     for matrix in arrays.get("sonic_covariance", ()):
         _check_covariance(matrix, f"sonic_covariance in {where}")
     return arrays
+
+
+def _check_range(values: FloatArray, least: float, most: float, *, what: str) -> None:
+    outside = (values < least) | (values > most)
+    if outside.any():
+        raise InputError(
+            f"Invalid {what}: {values[outside][0]:g}, and it must be between {least:g} and {most:g}; check the numbers "
+            "given."
+        )
 
 
 def _coordinates(noise: Mapping[str, Any], where: str) -> dict[str, FloatArray]:

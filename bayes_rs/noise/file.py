@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.noise.layout import FILE_KIND, FILE_VERSION, noise_fields
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.sealed import is_sealed
 from bayes_rs.readers.compressed import UNREADABLE
-from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_file import load_netcdf
 
 
 def load_noise(path: str | Path) -> Noise:
@@ -42,15 +41,21 @@ def load_noise(path: str | Path) -> Noise:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"No noise file {str(file)!r}: make one with calibrate, or give the path of another.")
-    sealed = is_sealed(file)
-    try:
-        check_netcdf(file, guarded=not sealed)
-        dataset = xr.load_dataset(file, engine="h5netcdf")
-    except UNREADABLE as error:
-        reason = error.__cause__ or error
-        raise InputError(
-            f"File {str(file)!r} cannot be read as NetCDF, it is damaged or of another kind: {reason}."
-        ) from error
+    return read_noise(file)
+
+
+def read_noise(file: Path, *, trusted: bool = False) -> Noise:
+    """Read a noise file; see `load_noise`.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    trusted : bool
+        That only we, or who installed this package, can have written it: if its fingerprint fits its content, it is not
+        looked through first. A fingerprint alone is no signature, anybody can make one.
+    """
+    dataset = load_netcdf(file, trusted=is_sealed(file) and trusted)
     if str(dataset.attrs.get("kind")) != FILE_KIND:
         raise InputError(f"File {str(file)!r} is not a noise file of bayes_rs: make one with calibrate.")
     version = dataset.attrs.get("format_version", 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import stat
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.models import models_folder
-from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.file import read_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.sealed import is_sealed
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -25,6 +26,7 @@ _log = logging.getLogger(__name__)
 THEORY_SUFFIX = "-theory"
 """How the names of shipped files end whose noise is from theory; the others are from boxes."""
 
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _SAME = 1e-9
 """Wind speeds (m/s), yaws (rad) and durations (s) no farther apart are the same."""
 
@@ -118,7 +120,7 @@ def find_shipped_noise(
 
 
 def from_cache(file: Path, key: str) -> tuple[Noise | None, str | None]:
-    """Read cached noise; a damaged file is reported, not raised.
+    """Read cached noise; a damaged file, and one that others could have written, is reported, not raised.
 
     Parameters
     ----------
@@ -130,14 +132,18 @@ def from_cache(file: Path, key: str) -> tuple[Noise | None, str | None]:
     Returns
     -------
     noise : Noise or None
-        None if it is not there, damaged, of an older version, or belongs to another key.
+        None if it is not there, damaged, of an older version, belongs to another key, or is not ours alone to write.
     damage : str or None
         What is wrong with it, if it is there.
     """
     try:
+        strange = _whose(file)
+        if strange:
+            _log.warning("The cached noise %s is not believed, %s, and is calculated again.", file, strange)
+            return None, f"it is not believed, {strange}"
         if not is_sealed(file):
             raise InputError("it is not whole, or of an older version.")  # noqa: TRY301 - caught below with the others
-        noise = load_noise(file)
+        noise = read_noise(file, trusted=True)
     except (FileNotFoundError, NotADirectoryError):
         return None, None
     except (InputError, OSError) as error:
@@ -162,6 +168,8 @@ def to_cache(noise: Noise, file: Path) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         noise.save(file, overwrite=True)
+        if hasattr(os, "geteuid"):
+            file.chmod(file.stat().st_mode & ~_OTHERS_WRITE)  # or we would not believe it
     except (OSError, InputError) as error:
         _log.warning("The noise cannot be cached and will be calculated again next time: %s", error)
 
@@ -212,7 +220,17 @@ def with_details(noise: Noise, **details: Any) -> Noise:
 @lru_cache(maxsize=64)
 def _load(file: Path, _modified: int) -> Noise:
     """Read a shipped file once: noise never changes."""
-    return load_noise(file)
+    return read_noise(file, trusted=True)
+
+
+def _whose(file: Path) -> str:
+    """Say who else can have written a file; nothing if nobody but the system's administrator."""
+    if not hasattr(os, "geteuid"):
+        return ""
+    found = file.stat()
+    if found.st_uid not in (os.geteuid(), 0):
+        return f"it belongs to another user ({found.st_uid})"
+    return "others may write it" if found.st_mode & _OTHERS_WRITE else ""
 
 
 def _fits(noise: Noise, scan: Scan, turbulence: MannTurbulence, duration: float) -> bool:

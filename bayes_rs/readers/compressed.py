@@ -44,8 +44,6 @@ NOT_THE_FILE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EMFILE, errno.ENF
 """What the system fails with whatever the file is."""
 
 _BLOCK = 1 << 20
-_NO_ENGINE = "did not find a match in any of xarray's currently installed IO backends"
-"""How xarray says that a file is none of those it knows; it goes on with advice to programmers."""
 
 
 def plain_suffix(file: Path) -> str:
@@ -67,8 +65,8 @@ def unreadable(file: Path, error: BaseException, *, as_what: str = "") -> InputE
     if isinstance(error, OSError) and error.errno in NOT_THE_FILE:
         raise error
     reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
-    if reason.startswith(_NO_ENGINE):
-        reason = "it has no header of such a file"
+    if isinstance(error, (AttributeError, TypeError, AssertionError)):
+        reason = f"the library cannot follow what it says ({reason})"
     reason = "".join(character if character.isprintable() else " " for character in reason)
     return InputError(
         f"File {str(file)!r} cannot be read{as_what}: {reason}; check that it is complete and not damaged."

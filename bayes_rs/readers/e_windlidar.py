@@ -16,8 +16,9 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
-from bayes_rs.readers.netcdf import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.ray_variables import decode_times, open_netcdf, own_names, rays_from
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
+from bayes_rs.readers.netcdf_file import load_netcdf, open_netcdf
+from bayes_rs.readers.ray_variables import decode_times, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 
@@ -39,7 +40,8 @@ _EPOCH = re.compile(r"(?:since|start at)\s+(\d{4}[-/]\d{2}[-/]\d{2}(?:[T ]\d{2}:
 def recognises_e_windlidar(file: Path) -> bool:
     """Say whether a file is in this layout, by its variables."""
     try:
-        names = set(open_netcdf(file).variables)
+        with open_netcdf(file, decode_times=False) as dataset:
+            names = set(dataset.variables)
     except InputError:
         return False
     return {"azimuth_angle", "elevation_angle", "range"} <= names and bool(
@@ -102,7 +104,7 @@ def e_windlidar_rays(file: Path, file_format: FileFormat) -> Rays:
     table of variables and the readers).
     """
     names = own_names(NAMES, file_format)
-    dataset = open_netcdf(file)
+    dataset = load_netcdf(file, decode_times=False)
     if names["radial_velocity"] not in dataset.variables and "radial_velocity" not in file_format.required:
         names["radial_velocity"] = OLD_VELOCITY if OLD_VELOCITY in dataset.variables else NAMES["radial_velocity"]
     return rays_from(

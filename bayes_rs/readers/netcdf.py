@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,17 +13,16 @@ import xarray as xr
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_UNITS
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.netcdf_file import SUFFIXES, open_netcdf
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
 
 RECORD_DIMS = ("record", "beam")
 """Dimensions of the variances in a file of records, which is no file of radial velocities."""
-SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
 _UNITS = {
     **{unit: unit for unit in VELOCITY_UNITS},
     **{f"{length} {second}": f"{length}/s" for length in ("m", "cm", "mm") for second in ("s-1", "s^-1")},
@@ -93,24 +90,6 @@ def own_options(file: Path) -> dict[str, Any] | None:
         if "status_valid" in dataset.attrs:
             options["status_valid"] = float(dataset.attrs["status_valid"])
         return options
-
-
-@contextmanager
-def open_netcdf(file: Path) -> Iterator[xr.Dataset]:
-    """Open a NetCDF file; whatever the libraries raise while it is open says that it is damaged.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    try:
-        with xr.open_dataset(file) as dataset:
-            yield dataset
-    except InputError:
-        raise
-    except UNREADABLE as error:
-        raise unreadable(file, error, as_what=" as NetCDF") from error
 
 
 def _as_text(value: object) -> str:

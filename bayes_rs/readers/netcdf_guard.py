@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_rs.readers.netcdf_walk import READY
+from bayes_rs.readers import netcdf_walk
 
 SECONDS = 20.0
 BYTES_PER_SECOND = 1e6
@@ -22,12 +22,15 @@ BYTES_PER_SECOND = 1e6
 START_SECONDS = 60.0
 
 _SCRIPT = Path(__file__).with_name("netcdf_walk.py")
+_Key = tuple[str, int, int]
 _TRIES = 2  # a process can also die for another reason than the file
 _log = logging.getLogger(__name__)
 
 
-def ask(file: Path) -> str | None:
+def find_fault(file: Path) -> str:
     """Have a file walked over in the other process, which starts with the first file and ends with this process.
+
+    Where no process can be started this one walks, and a warning is logged once.
 
     Parameters
     ----------
@@ -36,24 +39,26 @@ def ask(file: Path) -> str | None:
 
     Returns
     -------
-    fault : str or None
-        What is wrong with it, nothing for a good file. None where no process can be started; a warning is logged once.
+    fault : str
+        What is wrong with it, nothing for a good file.
 
     Raises
     ------
     OSError
         With the words and the number of what a library raised.
     """
-    return _guard.ask(file)
+    fault = _guard.ask(file)
+    return netcdf_walk.find_fault(str(file)) if fault is None else fault
 
 
 @dataclass
 class _Guard:
-    """The process, and the files on which it hung."""
+    """The process, the files on which it hung or died, and the last one that was good: it is often opened again."""
 
     process: subprocess.Popen[bytes] | None = None
     usable: bool = True
-    hung: dict[tuple[str, int, int], str] = field(default_factory=dict)
+    fatal: dict[_Key, str] = field(default_factory=dict)
+    good: _Key | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def ask(self, file: Path) -> str | None:
@@ -62,8 +67,10 @@ class _Guard:
         key, seconds = (path, stat.st_size, stat.st_mtime_ns), SECONDS + stat.st_size / BYTES_PER_SECOND
         request = json.dumps({"file": path, "seconds": seconds}).encode() + b"\n"
         with self.lock:
-            if key in self.hung:
-                return self.hung[key]
+            if key == self.good:
+                return ""
+            if key in self.fatal:
+                return self.fatal[key]
             died = False
             for _ in range(_TRIES):
                 process = self._running()
@@ -71,12 +78,16 @@ class _Guard:
                     break
                 answer, late = self._exchange(process, request, seconds)
                 if answer:
-                    return self._meaning(answer)
+                    fault = self._meaning(answer)
+                    self.good = None if fault else key
+                    return fault
                 died = True
                 if late:
-                    self.hung[key] = _fault(f"the HDF5 library has no end with it, after {seconds:.0f} s")
-                    return self.hung[key]
-            return _fault("the HDF5 library crashes on it") if died else None
+                    self.fatal[key] = _fault(f"the HDF5 library has no end with it, after {seconds:.0f} s")
+                    return self.fatal[key]
+            if died:
+                self.fatal[key] = _fault("the HDF5 library crashes on it")
+            return self.fatal.get(key)
 
     def end(self) -> None:
         """End the process, whatever it does; without one, do nothing."""
@@ -129,7 +140,7 @@ class _Guard:
             except (OSError, RuntimeError) as error:  # RuntimeError: no thread can be started
                 reason = str(error)
             else:
-                if line == READY:
+                if line == netcdf_walk.READY:
                     return self.process
                 reason = "it does not start"
         _log.warning("NetCDF-4 files are read without a process that protects from damaged ones: %s", reason)

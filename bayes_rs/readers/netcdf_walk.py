@@ -34,17 +34,17 @@ class EntryError(Exception):
     """An entry that the library cannot follow; the process may then hold gigabytes, and is not to be used any more."""
 
 
-def find_fault(file: str, *, deep: bool) -> str:
+def find_fault(file: str) -> str:
     """Say what is wrong with a file; nothing if it can be read.
+
+    What the library finds by following references in the file is read: attributes, indices of chunks, and variables
+    whose entries have no fixed length. An error there counts even where no reader needs the entry: the library can take
+    seconds and gigabytes of memory before it raises one.
 
     Parameters
     ----------
     file : str
         Path of an HDF5 file.
-    deep : bool
-        Also read what the library finds by following references in the file: attributes, indices of chunks, and
-        variables whose entries have no fixed length. An error there counts even where no reader needs the entry:
-        the library can take seconds and gigabytes of memory before it raises one.
 
     Returns
     -------
@@ -53,12 +53,14 @@ def find_fault(file: str, *, deep: bool) -> str:
 
     Raises
     ------
+    OSError
+        If the library cannot open it.
     EntryError
         If the library cannot read what it finds by following references.
     """
     with h5py.File(file, "r") as opened:
         fault = _fault_of_group(opened, max(MOST_BYTES, MOST_RATIO * Path(file).stat().st_size), ())
-        if deep and not fault:
+        if not fault:
             try:
                 _walk(opened, set())
             except Exception as error:
@@ -144,7 +146,7 @@ def _follow(value: Any, file: h5py.File) -> None:
 
 def _answer(request: dict[str, Any]) -> dict[str, Any]:
     try:
-        fault = find_fault(request["file"], deep=True)
+        fault = find_fault(request["file"])
     except Exception as error:  # noqa: BLE001 - the asking process raises it
         return {
             "error": str(error) or type(error).__name__,

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -14,13 +11,12 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.readers.compressed import UNREADABLE, unreadable
+from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.rays import Rays, direction_of
 
 _ANGLE_LIMIT = 720.0  # degrees; scanners count on beyond a turn, fill values are far away
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _OTHER_UNITS = {
     "azimuth": ("rad", "radian", "radians"),
     "elevation": ("rad", "radian", "radians"),
@@ -28,35 +24,6 @@ _OTHER_UNITS = {
     "radial_velocity": ("km/h", "km h-1", "km h^-1", "knot", "knots", "kt", "cm/s", "cm s-1"),
 }
 """Units that this reader would misread; the names of the right ones are too many to list."""
-
-
-def open_netcdf(file: Path) -> xr.Dataset:
-    """Return the root of a NetCDF file in memory, with its times as numbers.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    with _reading(file), xr.open_dataset(file, decode_times=False, engine=_engine(file)) as dataset:
-        return dataset.load()
-
-
-def open_groups(file: Path) -> dict[str, xr.Dataset]:
-    """Return all groups of a NetCDF-4 file in memory, by path, with their times as numbers; none of a classic file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    with _reading(file), ExitStack() as opened:
-        if _engine(file) != "h5netcdf":
-            return {}
-        groups = xr.open_groups(file, decode_times=False, engine="h5netcdf")
-        for dataset in groups.values():
-            opened.callback(dataset.close)
-        return {path: dataset.load() for path, dataset in groups.items()}
 
 
 def own_names(names: Mapping[str, str], file_format: FileFormat) -> dict[str, str]:
@@ -247,23 +214,6 @@ def decode_times(variable: xr.Variable, units: str, name: str, file: Path) -> ND
             f"Variable {name!r} of file {str(file)!r} cannot be read as times in {units!r}: {_first_line(error)}; "
             "give a file whose times are counted by the CF conventions, such as 'seconds since 1970-01-01'."
         ) from error
-
-
-@contextmanager
-def _reading(file: Path) -> Iterator[None]:
-    """Turn what the libraries raise into one line; numbers that they cannot scale are missing, without a warning."""
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore", xr.SerializationWarning)
-            yield
-    except UNREADABLE as error:
-        raise unreadable(file, error, as_what=" as NetCDF") from error
-
-
-def _engine(file: Path) -> Literal["h5netcdf"] | None:
-    """Return what to open a file with: one engine for all that is HDF5, whatever else is installed."""
-    with file.open("rb") as opened:
-        return "h5netcdf" if opened.read(len(_HDF5)) == _HDF5 else None
 
 
 def text_of(variable: xr.Variable) -> str:

@@ -15,12 +15,11 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
-from bayes_rs.readers.netcdf import SUFFIXES as NETCDF_SUFFIXES
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
+from bayes_rs.readers.netcdf_file import load_groups, load_netcdf, open_netcdf
 from bayes_rs.readers.ray_variables import (
     decode_times,
     join_rays,
-    open_groups,
-    open_netcdf,
     own_names,
     rays_from,
     text_of,
@@ -47,12 +46,12 @@ _REFERENCE = "time_reference"
 def recognises_windcube(file: Path) -> bool:
     """Say whether a file is a WindCube's, by its variables: in the root or in the groups that the root lists."""
     try:
-        root = open_netcdf(file)
+        with open_netcdf(file, decode_times=False) as root:
+            names = set(root.variables)
     except InputError:
         return False
-    if "sweep_group_name" in root.variables:
-        return True
-    return {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")} <= set(root.variables)
+    own = {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")}
+    return "sweep_group_name" in names or own <= names
 
 
 def read_windcube(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -107,9 +106,9 @@ def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
     if file_format.status_valid is None:
         file_format = replace(file_format, status_valid=STATUS_VALID)
     names = own_names(NAMES, file_format)
-    root = open_netcdf(file)
+    root = load_netcdf(file, decode_times=False)
     velocity = names["radial_velocity"]
-    sweeps = [root] if velocity in root.variables else list(open_groups(file).values())
+    sweeps = [root] if velocity in root.variables else list(load_groups(file).values())
     sweeps = [sweep for sweep in sweeps if velocity in sweep.variables]
     if not sweeps:
         raise InputError(

@@ -12,8 +12,7 @@ import xarray as xr
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
-from bayes_rs.readers.compressed import UNREADABLE
-from bayes_rs.readers.netcdf_check import check_netcdf
+from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
 
 
@@ -41,9 +40,8 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
     if file.suffix not in (".nc", ".nc4") or not file.is_file():
         return None
     try:
-        check_netcdf(file, guarded=True)
-        dataset = xr.load_dataset(file, engine="h5netcdf")
-    except UNREADABLE:
+        dataset = load_netcdf(file)
+    except InputError:
         return None  # the reader of radial velocities says what is wrong with it
     if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
         return None

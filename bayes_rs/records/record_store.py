@@ -29,6 +29,7 @@ from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import FoundFiles, find_files
+from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.streaming import stream
 from bayes_rs.records.read_counts import add_report, whole_report
@@ -386,7 +387,8 @@ def _part(index: int) -> str:
 
 
 def _open(folder: ResultFolder, index: int) -> xr.Dataset:
-    return xr.load_dataset(io.BytesIO(folder.read(_part(index))), engine="h5netcdf").drop_encoding()
+    name = _part(index)
+    return load_netcdf(folder.path / name, content=folder.read(name)).drop_encoding()
 
 
 def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked: _Asked) -> _Progress:

@@ -16,6 +16,7 @@ from bayes_rs import InputError, MannTurbulence, load_scan
 from bayes_rs.noise import at_states, store
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.noise.file import load_noise
+from bayes_rs.noise.sealed import save_dataset
 
 SCAN = load_scan("2-beam")
 FLOW = MannTurbulence(dissipation=0.04, length_scale=40.0, gamma=2.5)
@@ -58,6 +59,46 @@ def counted(monkeypatch):
     return made
 
 
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system knows no owners by number")
+class TestOfOthers:
+    """A fingerprint is no signature: who can write a file can write one that fits."""
+
+    @pytest.mark.parametrize("mode", [0o666, 0o620, 0o602])
+    def test_an_entry_that_others_may_write(self, file, right, counted, caplog, mode):
+        file.chmod(mode)
+        with caplog.at_level(logging.WARNING):
+            assert same(make(file.parent), right)
+        assert counted == [1]
+        assert "is not believed, others may write it, and is calculated again" in caplog.text
+        assert same(make(file.parent), right)  # ours is in its place now
+        assert counted == [1]
+
+    def test_an_entry_of_another_user(self, file, right, counted, caplog, monkeypatch):
+        if os.geteuid() == 0:
+            os.chown(file, 54321, -1)
+        else:
+            monkeypatch.setattr(os, "geteuid", lambda: 54321)
+        with caplog.at_level(logging.WARNING):
+            assert same(make(file.parent), right)
+        assert counted == [1]
+        assert "is not believed, it belongs to another user" in caplog.text
+
+    def test_whatever_the_mask_says_our_own_are_believed(self, tmp_path, counted):
+        before = os.umask(0)
+        try:
+            make(tmp_path / "cache")
+            make(tmp_path / "cache")
+        finally:
+            os.umask(before)
+        assert counted == [1]
+
+    def test_the_administrator_s_are_believed(self, file, right, counted, monkeypatch):
+        monkeypatch.setattr(os, "geteuid", lambda: 54321)
+        if os.stat(file).st_uid == 0:  # noqa: PTH116 - the owner that this process could give it
+            assert same(make(file.parent), right)
+            assert counted == []
+
+
 class TestDamage:
     def test_a_whole_entry_is_used(self, file, right, counted):
         assert same(make(file.parent), right)
@@ -75,7 +116,7 @@ class TestDamage:
         assert counted == [1]
 
     def test_every_flipped_bit_is_seen_before_hdf5_reads_it(self, file, monkeypatch):
-        monkeypatch.setattr(store, "load_noise", None)
+        monkeypatch.setattr(store, "read_noise", None)
         content, rng = file.read_bytes(), np.random.default_rng(5)
         for _ in range(300):
             changed = bytearray(content)
@@ -91,6 +132,16 @@ class TestDamage:
             assert same(make(file.parent), right)
         assert counted == [1]
         assert "is damaged and is calculated again: it is not whole, or of an older version" in caplog.text
+
+    def test_an_impossible_noise_whose_fingerprint_fits(self, file, right, counted, caplog):
+        dataset = load_noise(file).to_dataset()
+        dataset["covariance"] = dataset["covariance"] * 1e6
+        save_dataset(dataset, file, overwrite=True)
+        file.chmod(0o600)
+        with caplog.at_level(logging.WARNING):
+            assert same(make(file.parent), right)
+        assert counted == [1]
+        assert "it must be between 0 and 100" in caplog.text
 
     def test_an_entry_of_an_older_version(self, file, right, counted):
         """Entries once had no fingerprint at their end."""

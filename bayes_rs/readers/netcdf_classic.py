@@ -1,4 +1,4 @@
-"""NetCDF files, checked before a library that trusts them reads them."""
+"""Headers of classic NetCDF files, checked before a library that trusts them reads them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayes_rs.errors import InputError
-from bayes_rs.readers.compressed import UNREADABLE, unreadable
-from bayes_rs.readers.netcdf_guard import ask
-from bayes_rs.readers.netcdf_walk import find_fault
 
-_TYPE_SIZE = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
+_TYPE_SIZE = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8}
 _DIMENSION, _VARIABLE, _ATTRIBUTE = 10, 11, 12
 _MOST_HEADER = 64 * 1024**2
 
@@ -25,10 +22,13 @@ class _Header:
     version: int
     at: int = 4
 
-    def count(self) -> int:
-        return self._integer(8 if self.version == 5 else 4)
+    def __post_init__(self) -> None:
+        if self.version == 5:
+            raise _DamagedError("it is of the kind CDF-5; convert it with 'nccopy -k netCDF-4'")
+        if self.version not in (1, 2):
+            raise _DamagedError(f"its version {self.version} is unknown")
 
-    def tag(self) -> int:
+    def count(self) -> int:
         return self._integer(4)
 
     def offset(self) -> int:
@@ -41,7 +41,7 @@ class _Header:
 
     def elements(self, kind: int) -> int:
         """Return the length of a list of dimensions, variables or attributes."""
-        tag, count = self.tag(), self.count()
+        tag, count = self.count(), self.count()
         if tag not in (0, kind) or (tag == 0 and count != 0):
             raise _DamagedError(f"its header has the tag {tag} where {kind} or 0 must stand")
         if 8 * count > len(self.raw) - self.at:
@@ -51,7 +51,7 @@ class _Header:
     def attributes(self) -> None:
         for _ in range(self.elements(_ATTRIBUTE)):
             self.skip(self.count())
-            kind = self.tag()
+            kind = self.count()
             if kind not in _TYPE_SIZE:
                 raise _DamagedError(f"an attribute has the unknown type {kind}")
             self.skip(self.count() * _TYPE_SIZE[kind])
@@ -68,42 +68,6 @@ class _DamagedError(Exception):
     """What is wrong with a header."""
 
 
-def check_netcdf(file: Path, *, guarded: bool = False) -> None:
-    """Refuse a file that would keep a library busy for ever, or fill the memory; others are not looked at.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-    guarded : bool
-        Have another process read a NetCDF-4 file first, which may hang or die: for files that a user gives.
-
-    Raises
-    ------
-    InputError
-        If the header of a classic NetCDF file is damaged, or a variable of a NetCDF-4 file announces more than
-        `netcdf_walk.MOST_BYTES` and more than `netcdf_walk.MOST_RATIO` times the file's length, stands in another
-        file, or its groups hold each other: searching them, the library can die and take the process with it. If
-        `guarded`, also if the library hangs or dies in that other process.
-    """
-    with file.open("rb") as opened:
-        magic = opened.read(8)
-    if magic[:3] == b"CDF":
-        check_classic_header(file)
-    elif magic == b"\x89HDF\r\n\x1a\n":
-        fault = _find_fault(file, guarded=guarded)
-        if fault:
-            raise InputError(f"File {str(file)!r} cannot be read as NetCDF: {fault}")
-
-
-def _find_fault(file: Path, *, guarded: bool) -> str:
-    try:
-        answer = ask(file) if guarded else None
-        return find_fault(str(file), deep=False) if answer is None else answer
-    except UNREADABLE as error:
-        raise unreadable(file, error, as_what=" as NetCDF") from error
-
-
 def check_classic_header(file: Path) -> None:
     """Refuse a classic NetCDF file whose header is damaged, or which is shorter than its header says.
 
@@ -117,14 +81,12 @@ def check_classic_header(file: Path) -> None:
 
     References
     ----------
-    The classic format specification of Unidata's NetCDF documentation (CDF-1, CDF-2, CDF-5).
+    The classic format specification of Unidata's NetCDF documentation (CDF-1, CDF-2).
     """
     with file.open("rb") as opened:
         raw = opened.read(_MOST_HEADER)
     try:
-        if raw[3:4] not in (b"\1", b"\2", b"\5"):
-            raise _DamagedError(f"its version {raw[3:4]!r} is unknown")  # noqa: TRY301 - caught below
-        _check(_Header(raw, file.stat().st_size, raw[3]))
+        _check(_Header(raw, file.stat().st_size, raw[3] if len(raw) > 3 else 0))
     except _DamagedError as error:
         raise InputError(
             f"File {str(file)!r} cannot be read as NetCDF: {error}; check that it is complete and not damaged."
@@ -133,7 +95,7 @@ def check_classic_header(file: Path) -> None:
 
 def _check(header: _Header) -> None:
     n_record = header.count()
-    if n_record == (2**64 - 1 if header.version == 5 else 2**32 - 1):
+    if n_record == 2**32 - 1:
         n_record = 0  # written as a stream: the length tells
     lengths = []
     for _ in range(header.elements(_DIMENSION)):
@@ -150,7 +112,7 @@ def _check(header: _Header) -> None:
         if any(index >= len(lengths) for index in ids):
             raise _DamagedError("a variable has a dimension that the file does not have")
         header.attributes()
-        kind = header.tag()
+        kind = header.count()
         if kind not in _TYPE_SIZE:
             raise _DamagedError(f"a variable has the unknown type {kind}")
         header.count()  # its size, which large variables overflow
