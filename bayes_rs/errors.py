@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class InputError(ValueError):
     """Input that cannot be used: one line that says what, the value, the rule, where, and what to do."""
 
 
-class NoiseMismatchError(InputError):
+class _WithData(Exception):  # noqa: N818 - what three errors share
+    """An error with data, which comes from a worker as it was raised there."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args), self.__dict__
+
+
+def _again(kind: type[BaseException], args: tuple[Any, ...]) -> BaseException:
+    return kind.__new__(kind, *args)
+
+
+class NoiseMismatchError(_WithData, InputError):
     """Noise that was made for another scan than the one it is used with.
 
     Attributes
@@ -21,7 +34,7 @@ class NoiseMismatchError(InputError):
         self.difference = difference
 
 
-class NotPositiveDefiniteError(InputError):
+class NotPositiveDefiniteError(_WithData, InputError):
     """A covariance matrix that is not positive definite.
 
     Attributes
@@ -43,7 +56,7 @@ class WorkerError(RuntimeError):
     """Worker processes that die again and again."""
 
 
-class LostResultsError(RuntimeError):
+class LostResultsError(_WithData, RuntimeError):
     """Results of a run that are gone, or not what it wrote, when the run ends.
 
     Attributes

@@ -427,7 +427,7 @@ class TestLongFit:
         monkeypatch.setattr("bayes_rs.fits.fit_folder.write_table", full)
         code, out, err = long_fit("--draws", "none")
         assert (code, out) == (2, "")
-        assert err[-2] == "bayes-rs: [Errno 28] No space left on device"
+        assert err[-2] == "bayes-rs: No space left on device: see to it where the output goes, and run it again."
         assert "0 of 2 records are finished and kept in" in err[-1]
         assert "with resume goes on from there" in err[-1]
 

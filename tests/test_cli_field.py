@@ -9,7 +9,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import bayes_rs as brs
-from bayes_rs.cli import commands
+from bayes_rs.cli.group import commands
 from bayes_rs.folder_lock import locked
 
 SCAN = "6-beam"

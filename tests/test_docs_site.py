@@ -15,7 +15,7 @@ import pytest
 from scipy import special, stats
 
 import bayes_rs as brs
-from bayes_rs.cli import commands
+from bayes_rs.cli.group import commands
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -17,7 +17,7 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 from scenes import plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs.cli import commands
+from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
 from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.geometry.scan_file import load_scan

@@ -500,7 +500,7 @@ class TestFiles:
         make_noise(load_scan("6-beam")).save(tmp_path / "whole.nc")
         content = (tmp_path / "whole.nc").read_bytes()
         (tmp_path / "half.nc").write_bytes(content[: len(content) // 2])
-        with pytest.raises(InputError, match="cannot be read as NetCDF: .*truncated.*; check that it is complete"):
+        with pytest.raises(InputError, match=r"cannot be read as NetCDF: .*truncated.*; check that it is complete"):
             load_noise(tmp_path / "half.nc")
 
     def test_another_netcdf_file(self, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from bayes_rs import load_scan, load_turbulence, simulate, write_report
-from bayes_rs.cli import commands
+from bayes_rs.cli.group import commands
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.noise.calibrating import calibrate
 from bayes_rs.noise.probe_words import probe_loss, probe_words

@@ -14,7 +14,8 @@ from scenes import draw_variances, plain_noise, records_of
 from settings_samples import EVERY, SAMPLES, changed, entry_of, value_of, words_of_needs
 
 import bayes_rs as brs
-from bayes_rs.cli import commands, fit_commands
+from bayes_rs.cli import fit_commands
+from bayes_rs.cli.group import commands
 from bayes_rs.cli.options import FieldOption, refuse_given
 from bayes_rs.fits.fit_options import NoiseOptions
 from bayes_rs.fits.fitting import split_options
@@ -211,7 +212,7 @@ class TestHelp:
 
     def test_it_does_not_wait_for_the_science(self):
         code = (
-            "import sys; from bayes_rs.cli import commands\n"
+            "import sys; from bayes_rs.cli.group import commands\n"
             "try: commands.main(['fit', '--help'])\n"
             "except SystemExit: pass\n"
             "heavy = {'scipy.special', 'scipy.stats', 'pandas', 'xarray', 'pyarrow', 'emcee', 'matplotlib'}\n"

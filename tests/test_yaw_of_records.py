@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from fit_scene import NOISE, SCAN, make_records
 
 import bayes_rs as brs
-from bayes_rs.cli import commands
+from bayes_rs.cli.group import commands
 from bayes_rs.fits import from_files, plan
 from bayes_rs.fits.noise_choice import _with_yaw_sd
 from bayes_rs.posteriors.nuisance import Nuisances

@@ -1,46 +1,157 @@
-"""The command line: read, call, write."""
+"""The command line: read, call, write.
+
+`main` imports what it needs when it runs, so that an interrupt has its words from the first moment on.
+"""
 
 from __future__ import annotations
 
-import importlib
 import io
+import os
+import signal
 import sys
-
-import click
-
-from bayes_rs._version import __version__
+import traceback
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 EXIT_NOT_WHOLE = 1
 EXIT_BAD_INPUT = 2
+EXIT_FAULT = 70
+"""A fault of the program, as ``sysexits.h`` counts."""
+DEBUG = "BAYES_RS_DEBUG"
+"""Environment variable: set to 1, every error shows its traceback before its line."""
+
+_END = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_BY_SIGNAL = 128
+"""What a shell adds to the number of the signal that ended a program."""
+_BROKEN_PIPE = 13
+_LONGEST = 300
+"""Characters of an unknown error that are shown."""
 
 
-def main() -> None:
-    """Run the command line; the exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input."""
-    from bayes_rs.errors import InputError, LostResultsError, MissingExtraError, WorkerError
+class _EndedError(KeyboardInterrupt):
+    """The system, or who runs it, told this program to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def main() -> NoReturn:
+    """Run the command line, whatever happens with one line on stderr, and end the process.
+
+    The exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input or what the machine has not
+    got, 70 for a fault of the program, and 128 and the number of the signal for an end that was asked for.
+    """
+    try:
+        for number in _END:
+            if signal.getsignal(number) is signal.SIG_DFL:  # who asks to live on, as nohup does, is heard
+                with suppress(ValueError):  # a thread may not
+                    signal.signal(number, _end)
+        code = _run()
+        code = _written(code)
+    except BaseException as error:  # noqa: BLE001 - the last resort
+        code = _last_words(error)
+    _leave(code)
+
+
+def _end(number: int, _frame: FrameType | None) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)  # what is finished is written now
+    raise _EndedError(number)
+
+
+def _run() -> int:
+    from bayes_rs.cli.group import commands
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
+    output = sys.stdout
     try:
         code = commands.main(prog_name="bayes-rs", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as error:
+    except SystemExit as error:
+        if sys.stdout is output:
+            raise
+        raise BrokenPipeError from error  # click ends without a word then, and puts something quiet in its place
+    return code if isinstance(code, int) else 0
+
+
+def _written(code: int) -> int:
+    """Write what is still to be written, while an error there can have its words."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    return code
+
+
+def _last_words(error: BaseException) -> int:
+    """Say what ended the program, and what is kept; return the exit code."""
+    import click
+
+    if isinstance(error, click.Abort):
+        error = error.__cause__ or error.__context__ or error
+    if os.environ.get(DEBUG) == "1" and not isinstance(error, (click.ClickException, SystemExit)):
+        with suppress(OSError, ValueError):
+            traceback.print_exception(error)
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()
-        code = error.exit_code
-    except click.ClickException as error:
-        click.echo(f"bayes-rs: {error.format_message()}", err=True)
-        code = EXIT_BAD_INPUT
-    except click.Abort as error:
-        click.echo("bayes-rs: interrupted.", err=True)
-        _echo_notes(error.__cause__ or error.__context__)
-        code = 130
-    except LostResultsError as error:
-        click.echo(f"bayes-rs: {_one_line(error)}", err=True)
-        _echo_notes(error)
-        code = EXIT_NOT_WHOLE
-    except (InputError, MissingExtraError, WorkerError, OSError) as error:
-        click.echo(f"bayes-rs: {_one_line(error)}", err=True)
-        _echo_notes(error)
-        code = EXIT_BAD_INPUT
-    sys.exit(code)
+        return error.exit_code
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else int(error.code is not None)
+    words, code = _end_words(error) or _words(error)
+    _say(words)
+    for note in getattr(error, "__notes__", []):
+        _say(note)
+    return code
+
+
+def _words(error: BaseException) -> tuple[str, int]:
+    """Return what to say of an error, and the exit code."""
+    import click
+
+    from bayes_rs.errors import InputError, LostResultsError, MissingExtraError, WorkerError
+
+    if isinstance(error, click.ClickException):
+        return error.format_message(), EXIT_BAD_INPUT
+    said = _one_line(error)
+    if isinstance(error, MemoryError):
+        said = f"the memory of this machine is not enough ({said or 'no more is given'})"
+        return f"{said}: ask for less at a time, such as fewer workers, records or draws.", EXIT_BAD_INPUT
+    if isinstance(error, RecursionError):
+        return f"something that was given is nested too deeply{_where(error)}: give a flat one.", EXIT_BAD_INPUT
+    if isinstance(error, LostResultsError):
+        return said, EXIT_NOT_WHOLE
+    if isinstance(error, OSError) and error.filename is None and error.strerror:
+        said = f"{error.strerror}: see to it where the output goes, and run it again."
+    if isinstance(error, (InputError, MissingExtraError, WorkerError, OSError)):
+        return said or type(error).__name__, EXIT_BAD_INPUT
+    what = f"this is a fault of bayes_rs, not yours: {type(error).__name__}{_where(error)}: {said[:_LONGEST]}"
+    how = f"report this line, with the command and, if you can, its files; {DEBUG}=1 shows where it comes from"
+    return f"{what}. Please {how}.", EXIT_FAULT
+
+
+def _end_words(error: BaseException) -> tuple[str, int] | None:
+    """Return the same of an end that was asked for."""
+    import click
+
+    if isinstance(error, _EndedError):
+        return f"ended by {signal.Signals(error.number).name}.", _BY_SIGNAL + error.number
+    if isinstance(error, (KeyboardInterrupt, EOFError, click.Abort)):
+        return "interrupted.", _BY_SIGNAL + signal.SIGINT
+    if isinstance(error, BrokenPipeError):
+        return "who reads the output has gone (broken pipe).", _BY_SIGNAL + _BROKEN_PIPE
+    return None
+
+
+def _where(error: BaseException) -> str:
+    """Return the last place in this package that an error came through."""
+    package = str(Path(__file__).parents[1])
+    frames = traceback.extract_tb(error.__traceback__)
+    places = [frame for frame in frames if frame.filename.startswith(package) and frame.filename != __file__]
+    if not places:
+        return ""
+    file = Path(places[-1].filename).relative_to(package).as_posix()
+    return f" at {file}:{places[-1].lineno}"
 
 
 def _one_line(error: BaseException) -> str:
@@ -49,51 +160,20 @@ def _one_line(error: BaseException) -> str:
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in words)
 
 
-def _echo_notes(error: BaseException | None) -> None:
-    for note in getattr(error, "__notes__", []):
-        click.echo(f"bayes-rs: {note}", err=True)
+def _say(words: str) -> None:
+    import click
+
+    with suppress(OSError, ValueError):  # nobody may be there to read it
+        click.echo(f"bayes-rs: {words}", err=True)
 
 
-COMMANDS = {
-    "demo": ("data_commands:demo", "The main job on embedded data."),
-    "scans": ("data_commands:scans", "List the shipped scans, and what each sees of R."),
-    "plan": ("data_commands:plan", "Say what a scene needs computed, and what is skipped."),
-    "records": ("data_commands:records", "Make records of files of radial velocities."),
-    "calibrate": ("data_commands:calibrate", "Calibrate the noise of a scan, for fit --noise."),
-    "fit": ("fit_commands:fit", "Estimate the stresses of every record, with credible intervals."),
-    "sensitivity": ("fit_commands:sensitivity", "Say which stresses the data decide, and which the prior."),
-    "corner": ("fit_commands:corner", "Draw the posterior of one record of a fit."),
-    "report": ("report_command:report", "Write one HTML page of a fit."),
-    "spectra": ("spectra_command:spectra", "Spectra, length scale and instrument noise of every record."),
-    "wind": ("wind_command:wind", "Mean wind of every record, with standard deviations."),
-    "compare": ("design_commands:compare_command", "Compare scans by their interval widths."),
-    "optimize": ("design_commands:optimize", "Choose the directions of a scan's beams."),
-}
-"""The commands: where each is, and what it does. A command is loaded when it is called for."""
-
-
-class LazyGroup(click.Group):
-    """Commands that are loaded when they are called for: help must not wait for numpy."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - the same in any context
-        """Return the names of the commands."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
-        """Load a command."""
-        if cmd_name not in COMMANDS:
-            return None
-        module, _, name = COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(importlib.import_module(f"bayes_rs.cli.{module}"), name)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - as above
-        """Write the commands with what they do."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, words) for name, (_, words) in COMMANDS.items()])
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(__version__, prog_name="bayes-rs")
-def commands() -> None:
-    """Reynolds stresses with credible intervals from Doppler-lidar radial velocities."""
+def _leave(code: int) -> NoReturn:
+    """End the process; what cannot be written any more is not tried again when the interpreter ends."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(code)

@@ -1,6 +1,7 @@
 """No pickle: nothing that is read can run code. Only worker processes of one run pass pickled jobs among themselves."""
 
 import ast
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -35,6 +36,20 @@ def test_package(module):
             allowed = called == "compile" and isinstance(node.func, ast.Attribute)  # re.compile
             assert allowed or called not in CALLS, ast.unparse(node)
             assert not any(keyword.arg == "allow_pickle" for keyword in node.keywords), ast.unparse(node)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        bayes_rs.LostResultsError("gone", damage={"a": "b"}),
+        bayes_rs.NoiseMismatchError("other", difference="beam"),
+        bayes_rs.NotPositiveDefiniteError("negative", smallest_eigenvalue=-1.0),
+    ],
+)
+def test_an_error_with_data_comes_from_a_worker_as_it_was_raised(error):
+    error.add_note("a note")
+    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own
+    assert (type(again), again.args, again.__dict__) == (type(error), error.args, error.__dict__)
 
 
 def test_the_check_sees_a_pickle():
