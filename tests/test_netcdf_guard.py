@@ -29,8 +29,7 @@ from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.file import load_noise
 from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.readers import netcdf_guard
-from bayes_rs.readers.netcdf_file import check_netcdf
-from bayes_rs.readers.netcdf_walk import find_fault
+from bayes_rs.readers.netcdf_file import load_netcdf, open_groups, open_netcdf
 from bayes_rs.readers.reading import read
 from bayes_rs.records.record_files import open_records
 from bayes_rs.result_folder import seal_folder
@@ -43,20 +42,21 @@ READERS = Path(netcdf_guard.__file__).parent
 MISCHIEF = f"""
 import os, signal, sys, time
 sys.path.append({str(READERS)!r})
-import netcdf_walk
+import netcdf_process
 
-real = netcdf_walk.find_fault
+real = netcdf_process.answer
 
-def find_fault(file):
-    name = os.path.basename(file)
-    if name.startswith("hangs"):
+def answer(request):
+    name = os.path.basename(request["file"])
+    late = "late" in name
+    if name.startswith("hangs") and late == (request["do"] == "read"):
         time.sleep(60.0)
-    if name.startswith("dies"):
+    if name.startswith("dies") and late == (request["do"] == "read"):
         os.kill(os.getpid(), signal.SIGSEGV)
-    return real(file)
+    return real(request)
 
-netcdf_walk.find_fault = find_fault
-netcdf_walk.main()
+netcdf_process.answer = answer
+netcdf_process.main()
 """
 NO_END = "the HDF5 library has no end with it, after 2 s; check that it is complete and not damaged"
 
@@ -121,8 +121,9 @@ class TestDamagedFiles:
         assert time.process_time() - start < 20.0  # this process waits, or would not come back
         assert "\n" not in str(info.value)
 
-    def test_one_that_hangs(self, mischief, tmp_path):
-        file = write(tmp_path / "hangs.nc")
+    @pytest.mark.parametrize("name", ["hangs.nc", "hangs-late.nc"])
+    def test_one_that_hangs(self, mischief, tmp_path, name):
+        file = write(tmp_path / name)
         with pytest.raises(InputError) as info:
             read(file, SIX)
         assert str(info.value) == f"File {str(file)!r} cannot be read as NetCDF: {NO_END}."
@@ -134,11 +135,12 @@ class TestDamagedFiles:
         for limit in (2.0, 1000.0):
             netcdf_guard.SECONDS = limit
             with pytest.raises(InputError, match=NO_END):
-                check_netcdf(file)
+                load_netcdf(file)
 
     @pytest.mark.usefixtures("mischief")
-    def test_one_that_kills(self, tmp_path):
-        file = write(tmp_path / "dies.nc")
+    @pytest.mark.parametrize("name", ["dies.nc", "dies-late.nc"])
+    def test_one_that_kills(self, tmp_path, name):
+        file = write(tmp_path / name)
         with pytest.raises(InputError) as info:
             read(file, SIX)
         assert str(info.value) == (
@@ -239,24 +241,24 @@ class TestDamagedFiles:
     def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
         """The library can take gigabytes before it says so: the next file has a new process."""
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
-        check_netcdf(good)
+        load_netcdf(good)
         first = guard.process.pid
         file.write_bytes(file.read_bytes().replace(b"GCOL", b"GCOK"))
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            check_netcdf(file)
-        check_netcdf(write(tmp_path / "another.nc"))
+            load_netcdf(file)
+        load_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid != first
 
     def test_a_wrong_checksum_costs_no_new_process(self, guard, tmp_path):
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
-        check_netcdf(good)
+        load_netcdf(good)
         first = guard.process.pid
         raw = bytearray(file.read_bytes())
         raw[raw.find(b"radial_velocity") + 3] ^= 1
         file.write_bytes(raw)
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*checksum.*; check that it"):
-            check_netcdf(file)
-        check_netcdf(write(tmp_path / "another.nc"))
+            load_netcdf(file)
+        load_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid == first
 
     @pytest.mark.parametrize("usable", [True, False])
@@ -265,24 +267,63 @@ class TestDamagedFiles:
         file = write(tmp_path / "a.nc")
         file.write_bytes(file.read_bytes()[:-100])
         with pytest.raises(InputError, match=r"a.nc' cannot be read as NetCDF: Unable to .*truncated file.*; check"):
-            check_netcdf(file)
+            load_netcdf(file)
 
 
 class TestOneDoor:
     def test_nothing_else_opens_a_netcdf_file(self):
-        """A library that guesses its engine takes another than the one that has looked through the file."""
+        """What opens one elsewhere opens it in this process, which may then die of it."""
         opening = re.compile(r"xr\.(open|load)_|netCDF4|h5py\.File\(")
         package = READERS.parent
         found = {
             file.relative_to(package).as_posix() for file in package.rglob("*.py") if opening.search(file.read_text())
         }
-        assert found == {"readers/netcdf_file.py", "readers/netcdf_walk.py"}
+        assert found == {"readers/netcdf_file.py", "readers/netcdf_process.py"}
 
     @pytest.mark.usefixtures("guard")
-    @pytest.mark.parametrize(("kind", "engine"), [({"engine": "h5netcdf"}, "h5netcdf"), ({"engine": "scipy"}, "scipy")])
-    def test_its_engine_is_named(self, tmp_path, kind, engine):
-        SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32)).to_netcdf(tmp_path / "a.nc", **kind)
-        assert check_netcdf(tmp_path / "a.nc") == engine
+    @pytest.mark.parametrize("decode_times", [True, False])
+    def test_it_gives_what_the_library_gives(self, tmp_path, decode_times):
+        """Numbers of all types, packed ones, texts, missing values, attributes of all types, times, no dimension."""
+        values = np.arange(6.0).reshape(2, 3)
+        made = xr.Dataset(
+            {
+                "packed": (("a", "b"), values, {"units": "m/s", "valid_range": np.array([-3, 99], dtype=np.int16)}),
+                "single": (("a", "b"), values.astype(np.float32), {"note": "\N{GREEK SMALL LETTER GAMMA}", "n": 3}),
+                "missing": ("b", [1.0, np.nan, 3.0]),
+                "text": ("b", np.array(["a", "\u98a8", ""], dtype=object)),
+                "letters": ("b", np.array([b"x", b"y", b"z"])),
+                "one": ((), 5, {"list": ["a", "b"], "empty": "", "many": np.arange(3.0)}),
+                "flag": ("a", [True, False]),
+                "big": ("b", np.array([2**63, 0, 1], dtype=np.uint64)),
+                "none": (("none", "b"), np.empty((0, 3))),
+            },
+            coords={"a": np.array(["2020-01-01", "2020-01-02"], dtype="datetime64[ns]"), "b": [5, 6, 7]},
+            attrs={"title": "a title", "version": np.int8(2)},
+        )
+        packed = {"dtype": "int16", "scale_factor": np.float32(0.5), "add_offset": 1.0, "_FillValue": np.int16(-99)}
+        made.to_netcdf(tmp_path / "a.nc", engine="h5netcdf", encoding={"packed": packed})
+        right = xr.load_dataset(tmp_path / "a.nc", engine="h5netcdf", decode_times=decode_times)
+        for trusted in (False, True):
+            with open_netcdf(tmp_path / "a.nc", decode_times=decode_times, trusted=trusted) as found:
+                found.load()
+            xr.testing.assert_identical(found, right)
+            assert {name: item.dtype for name, item in found.variables.items()} == {
+                name: item.dtype for name, item in right.variables.items()
+            }
+            for name in ("dtype", "scale_factor", "add_offset", "_FillValue"):
+                assert found["packed"].encoding[name] == right["packed"].encoding[name]
+
+    @pytest.mark.usefixtures("guard")
+    def test_groups(self, tmp_path):
+        with h5py.File(tmp_path / "a.nc", "w") as opened:
+            opened["one/two/x"] = np.arange(3.0)
+            opened["y"] = 1.0
+        with open_groups(tmp_path / "a.nc") as found:
+            assert list(found) == ["/", "/one", "/one/two"]
+            np.testing.assert_array_equal(found["/one/two"]["x"], np.arange(3.0))
+        SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32)).to_netcdf(tmp_path / "b.nc", engine="scipy")
+        with open_groups(tmp_path / "b.nc") as found:
+            np.testing.assert_array_equal(found["/"]["radial_velocity"], SHORT["radial_velocity"])
 
     @pytest.mark.usefixtures("guard")
     @pytest.mark.parametrize(
@@ -315,15 +356,15 @@ class TestGoodFiles:
     @pytest.mark.parametrize("name", ["two\nlines.nc", "Göttingen 風.nc", os.fsdecode(b"\xff\xfe.nc"), ' "\\.nc'])
     def test_any_name(self, guard, tmp_path, name):
         file = write(tmp_path / "a.nc").rename(tmp_path / name)
-        check_netcdf(file)
+        load_netcdf(file)
         assert guard.process is not None
 
     @pytest.mark.usefixtures("guard")
     def test_a_relative_name_after_a_change_of_folder(self, tmp_path, monkeypatch):
         write(tmp_path / "a.nc")
-        check_netcdf(tmp_path / "a.nc")
+        load_netcdf(tmp_path / "a.nc")
         monkeypatch.chdir(tmp_path)
-        check_netcdf(Path("a.nc"))
+        load_netcdf(Path("a.nc"))
 
     @pytest.mark.usefixtures("guard")
     def test_whatever_hdf5_can_hold(self, tmp_path):
@@ -331,52 +372,35 @@ class TestGoodFiles:
         with h5py.File(file, "w") as opened:
             words = opened.create_dataset("words", data=["a", "b"] * 6000, dtype=h5py.string_dtype(), chunks=(500,))
             opened.create_dataset("word", data="a", dtype=h5py.string_dtype())
-            opened.create_dataset("none", data=h5py.Empty("f8"))
             opened.create_dataset("no rows", shape=(0, 3), maxshape=(None, 3), chunks=(5, 3), dtype=h5py.string_dtype())
             opened.create_dataset("unwritten", shape=(100, 100), dtype="f4", chunks=(10, 10), compression="gzip")
-            ragged = opened.create_dataset("ragged", shape=(2, 2), dtype=h5py.vlen_dtype(np.float64))
-            ragged[0, 0] = np.arange(3.0)
-            opened["type"] = np.dtype("f4")
-            opened["soft"], opened["dangling"] = h5py.SoftLink("/words"), h5py.SoftLink("/nowhere")
+            opened["soft"] = h5py.SoftLink("/words")
             opened["again"] = opened["words"]
             opened.create_dataset("gone", data=1.0)
             opened["group/inner"] = 2.0
             words.attrs["all"] = np.array([opened["gone"].ref, h5py.Reference(), words.ref], dtype=h5py.ref_dtype)
-            words.attrs["region"] = words.regionref[:3]
             words.attrs["empty"] = h5py.Empty("S1")
             words.attrs["latin"] = np.bytes_(b"\xe9")
             del opened["gone"]
-        check_netcdf(file)
-        assert find_fault(str(file)) == ""
+        assert load_netcdf(file)["words"].values[:2].tolist() == ["a", "b"]
 
     @pytest.mark.usefixtures("guard")
     def test_threads(self, tmp_path):
         files = [write(tmp_path / f"{number}.nc") for number in range(4)]
         with ThreadPoolExecutor(4) as pool:
-            list(pool.map(check_netcdf, files * 10))
+            list(pool.map(load_netcdf, files * 10))
 
     def test_a_process_that_was_killed_in_between(self, guard, tmp_path):
         """It is not the next file's fault, whether that is noticed before the request or after."""
         files = iter([write(tmp_path / f"{number}.nc") for number in range(3)])
-        check_netcdf(next(files))
+        load_netcdf(next(files))
         os.kill(guard.process.pid, signal.SIGKILL)
-        check_netcdf(next(files))
+        load_netcdf(next(files))
         killed = guard.process
         os.kill(killed.pid, signal.SIGKILL)
         killed.wait()
-        check_netcdf(next(files))
+        load_netcdf(next(files))
         assert guard.process.pid != killed.pid
-
-    def test_a_good_file_is_looked_through_once(self, guard, tmp_path):
-        """It is opened to see its kind, and again to read it; after a change it is another file."""
-        file = write(tmp_path / "a.nc")
-        check_netcdf(file)
-        guard.end()
-        check_netcdf(file)
-        assert guard.process is None
-        write(file)
-        check_netcdf(file)
-        assert guard.process is not None
 
     def test_an_interrupt(self, mischief, tmp_path):
         """What was asked before it is not taken for the next answer."""
@@ -386,11 +410,11 @@ class TestGoodFiles:
         before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
         try:
             with pytest.raises(KeyboardInterrupt):
-                check_netcdf(file)
+                load_netcdf(file)
         finally:
             signal.signal(signal.SIGINT, before)
         assert mischief.process is None
-        check_netcdf(write(tmp_path / "a.nc"))
+        load_netcdf(write(tmp_path / "a.nc"))
 
 
 class TestWithoutAProcess:
@@ -415,9 +439,9 @@ ASK = (
     "import sys\n"
     "from pathlib import Path\n"
     "from bayes_rs.readers import netcdf_guard\n"
-    "from bayes_rs.readers.netcdf_file import check_netcdf\n"
+    "from bayes_rs.readers.netcdf_file import load_netcdf, open_groups, open_netcdf\n"
     "assert netcdf_guard._guard.process is None\n"
-    "check_netcdf(Path(sys.argv[1]))\n"
+    "load_netcdf(Path(sys.argv[1]))\n"
     "print(netcdf_guard._guard.process.pid, flush=True)\n"
 )
 
@@ -453,7 +477,7 @@ class TestItsEnd:
             f"netcdf_guard._guard.end()\nnetcdf_guard._SCRIPT = {str(script)!r}\nnetcdf_guard.SECONDS = 1.5\n"
             "import threading\n"
             "file = Path(sys.argv[1]).with_name('hangs.nc')\n"
-            "threading.Thread(target=netcdf_guard.find_fault, args=(file,)).start()\n"
+            "threading.Thread(target=netcdf_guard.ask, args=(file, 'look')).start()\n"
             "while not (netcdf_guard._guard.process and netcdf_guard._guard.process.pid): pass\n"
             "import time; time.sleep(1.0)\n"
             "print(netcdf_guard._guard.process.pid, flush=True)\n"
@@ -472,15 +496,14 @@ class TestItsEnd:
             "warnings.simplefilter('ignore', DeprecationWarning)\n"
             "first = netcdf_guard._guard.process.pid\n"
             "child = os.fork()\n"
-            "netcdf_guard._guard.good = None\n"
-            "check_netcdf(Path(sys.argv[1]))\n"
+            "load_netcdf(Path(sys.argv[1]))\n"
             "same = netcdf_guard._guard.process.pid == first\n"
             "if child == 0:\n"
             "    netcdf_guard._guard.end()\n"
             "    os._exit(0 if not same else 1)\n"
             "assert os.waitpid(child, 0)[1] == 0\n"
             "assert same\n"
-            "check_netcdf(Path(sys.argv[1]))\n"
+            "load_netcdf(Path(sys.argv[1]))\n"
         )
         process, pid = ask(ASK + fork, write(tmp_path / "a.nc"))
         assert process.communicate() == (b"", b"")

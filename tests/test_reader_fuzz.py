@@ -32,7 +32,7 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.readers import netcdf_guard, read, read_statistics
-from bayes_rs.readers.netcdf_file import check_netcdf
+from bayes_rs.readers.netcdf_file import load_netcdf
 
 SIX = six_beam(45.0, step=1.0)
 ZX = load_scan("zx-tm")
@@ -272,7 +272,7 @@ class TestNetcdfCheck:
     def test_a_good_file_passes(self, tmp_path, version):
         series = SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32))
         file = netcdf(tmp_path / "a.nc", series, format=version, engine="scipy", unlimited_dims=["sample"])
-        check_netcdf(file)
+        load_netcdf(file)
         assert read(file, SIX).sizes["sample"] == SHORT.sizes["sample"]
 
     def test_a_cut_classic_file(self, tmp_path):

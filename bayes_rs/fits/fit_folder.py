@@ -218,8 +218,7 @@ class _InFolder:
     folder: ResultFolder
 
     def records(self) -> xr.Dataset:
-        file = self.folder.checked(RECORDS_FILE)
-        return load_netcdf(file, content=self.folder.read(RECORDS_FILE))
+        return load_netcdf(self.folder.checked(RECORDS_FILE))
 
     def prior_draws(self) -> FloatArray:
         table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))

@@ -17,7 +17,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import load_netcdf, open_netcdf
+from bayes_rs.readers.netcdf_file import open_netcdf
 from bayes_rs.readers.ray_variables import decode_times, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
@@ -104,18 +104,18 @@ def e_windlidar_rays(file: Path, file_format: FileFormat) -> Rays:
     table of variables and the readers).
     """
     names = own_names(NAMES, file_format)
-    dataset = load_netcdf(file, decode_times=False)
-    if names["radial_velocity"] not in dataset.variables and "radial_velocity" not in file_format.required:
-        names["radial_velocity"] = OLD_VELOCITY if OLD_VELOCITY in dataset.variables else NAMES["radial_velocity"]
-    return rays_from(
-        dataset,
-        file,
-        file_format,
-        kind="e-windlidar",
-        names=names,
-        time=_times(dataset, names["time"], file),
-        accumulation_time=_accumulation_time(dataset),
-    )
+    with open_netcdf(file, decode_times=False) as dataset:
+        if names["radial_velocity"] not in dataset.variables and "radial_velocity" not in file_format.required:
+            names["radial_velocity"] = OLD_VELOCITY if OLD_VELOCITY in dataset.variables else NAMES["radial_velocity"]
+        return rays_from(
+            dataset,
+            file,
+            file_format,
+            kind="e-windlidar",
+            names=names,
+            time=_times(dataset, names["time"], file),
+            accumulation_time=_accumulation_time(dataset),
+        )
 
 
 def _times(dataset: xr.Dataset, name: str, file: Path) -> NDArray[np.datetime64]:

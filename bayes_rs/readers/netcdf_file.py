@@ -1,21 +1,27 @@
-"""The one door to NetCDF files: each is looked through first, and then read by the library that looked, by its name."""
+"""The one door to NetCDF files: NetCDF-4 is read in a process that may die of it, a classic file after a check."""
 
 from __future__ import annotations
 
-import io
+import base64
+import json
 import warnings
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from xarray.backends import AbstractDataStore, BackendArray
+from xarray.core import indexing
 
 from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.netcdf_classic import check_classic_header
-from bayes_rs.readers.netcdf_guard import find_fault
+from bayes_rs.readers.netcdf_guard import ask, ask_here
+from bayes_rs.readers.netcdf_process import TEXT
 
 SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
 """Suffixes of NetCDF files."""
@@ -23,7 +29,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @contextmanager
-def open_netcdf(file: Path, *, decode_times: bool = True) -> Iterator[xr.Dataset]:
+def open_netcdf(file: Path, *, decode_times: bool = True, trusted: bool = False) -> Iterator[xr.Dataset]:
     """Open a NetCDF file; whatever the libraries raise while it is open says that it is damaged.
 
     Parameters
@@ -32,6 +38,8 @@ def open_netcdf(file: Path, *, decode_times: bool = True) -> Iterator[xr.Dataset
         The file.
     decode_times : bool
         Whether times are times, or numbers.
+    trusted : bool
+        That nobody but us, or who installed this package, can have written it: it is read by this process.
 
     Yields
     ------
@@ -41,95 +49,126 @@ def open_netcdf(file: Path, *, decode_times: bool = True) -> Iterator[xr.Dataset
     Raises
     ------
     InputError
-        If it is no NetCDF file, or damaged: one that kills the library, or keeps it busy for ever, does so in a
-        process of its own.
+        If it is no NetCDF file, or damaged: one that kills the HDF5 library, or keeps it busy for ever, does so in a
+        process of its own, which is also the one that reads.
     """
-    with _reading(file), xr.open_dataset(file, engine=check_netcdf(file), decode_times=decode_times) as dataset:
-        yield dataset
+    with _opened(file, decode_times=decode_times, trusted=trusted) as groups:
+        yield groups["/"]()
 
 
-def load_netcdf(
-    file: Path, *, content: bytes | None = None, decode_times: bool = True, trusted: bool = False
-) -> xr.Dataset:
-    """Return the root of a NetCDF file in memory.
+@contextmanager
+def open_groups(file: Path) -> Iterator[dict[str, xr.Dataset]]:
+    """Open all groups of a NetCDF file, by path, with their times as numbers; see `open_netcdf`."""
+    with _opened(file, decode_times=False) as groups:
+        yield {path: group() for path, group in groups.items()}
 
-    Parameters
-    ----------
-    file : Path
-        The file.
-    content : bytes, optional
-        Its bytes, where they were read already.
-    decode_times : bool
-        Whether times are times, or numbers.
-    trusted : bool
-        That we wrote these very bytes is known: they are not looked through.
 
-    Raises
-    ------
-    InputError
-        As `open_netcdf`.
-    """
+def load_netcdf(file: Path, *, trusted: bool = False) -> xr.Dataset:
+    """Return the root of a NetCDF file in memory; see `open_netcdf`."""
+    with open_netcdf(file, trusted=trusted) as dataset:
+        return dataset.load()
+
+
+@contextmanager
+def _opened(file: Path, *, decode_times: bool, trusted: bool = False) -> Iterator[dict[str, Callable[[], xr.Dataset]]]:
+    """Open a file; give what opens each of its groups, by path."""
     with _reading(file):
-        engine = "h5netcdf" if trusted else check_netcdf(file)
-        source = file if content is None else io.BytesIO(content)
-        return xr.load_dataset(source, engine=engine, decode_times=decode_times)
+        if _is_classic(file):
+            with xr.open_dataset(file, engine="scipy", decode_times=decode_times) as dataset:
+                yield {"/": lambda: dataset}
+            return
+        asked = ask_here if trusted else ask
+        told, _ = asked(file, "look")
+        groups = {path: _Group(file, path, about, asked) for path, about in told["groups"].items()}
+        try:
+            yield {path: partial(xr.open_dataset, group, decode_times=decode_times) for path, group in groups.items()}
+        finally:
+            with suppress(OSError, InputError):  # nothing is lost by it
+                asked(file, "close")
 
 
-def load_groups(file: Path) -> dict[str, xr.Dataset]:
-    """Return all groups of a NetCDF-4 file in memory, by path, with their times as numbers; none of a classic file.
-
-    Raises
-    ------
-    InputError
-        As `open_netcdf`.
-    """
-    with _reading(file), ExitStack() as opened:
-        engine = check_netcdf(file)
-        if engine != "h5netcdf":
-            return {}
-        groups = xr.open_groups(file, decode_times=False, engine=engine)
-        for dataset in groups.values():
-            opened.callback(dataset.close)
-        return {path: dataset.load() for path, dataset in groups.items()}
-
-
-def check_netcdf(file: Path) -> Literal["h5netcdf", "scipy"]:
-    """Refuse a file that would kill a library, keep it busy for ever, or fill the memory.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    engine : str
-        Which of xarray's engines is to read it: the one whose library has looked through it, whatever else is
-        installed.
+def _is_classic(file: Path) -> bool:
+    """Say whether a file is of the classic format, and not of HDF5.
 
     Raises
     ------
     InputError
-        If it is no NetCDF file, the header of a classic one is damaged, or the library hangs, dies, or finds a fault
-        in a NetCDF-4 file (`netcdf_walk.find_fault`) in a process of its own.
+        If it is of neither, or its classic header is damaged.
     """
-    try:
-        with file.open("rb") as opened:
-            magic = opened.read(len(_HDF5))
-        if magic == _HDF5:
-            fault = find_fault(file)
-        elif magic[:3] == b"CDF":
-            check_classic_header(file)
-            return "scipy"
-        else:
-            fault = "it has no header of such a file; check that it is complete and not damaged."
-    except InputError:
-        raise
-    except UNREADABLE as error:
-        raise unreadable(file, error, as_what=" as NetCDF") from error
-    if fault:
-        raise InputError(f"File {str(file)!r} cannot be read as NetCDF: {fault}")
-    return "h5netcdf"
+    with file.open("rb") as opened:
+        magic = opened.read(len(_HDF5))
+    if magic == _HDF5:
+        return False
+    if magic[:3] != b"CDF":
+        raise InputError(
+            f"File {str(file)!r} cannot be read as NetCDF: it has no header of such a file; check that it is complete "
+            "and not damaged."
+        )
+    check_classic_header(file)
+    return True
+
+
+class _Group(AbstractDataStore):
+    """A group of a file that another process has open."""
+
+    def __init__(self, file: Path, path: str, told: Mapping[str, Any], asked: Callable[..., Any]) -> None:
+        self.file, self.path, self.told, self.asked = file, path, told, asked
+
+    def get_variables(self) -> dict[str, xr.Variable]:
+        """Return the variables; their values are read when they are asked for."""
+        return {
+            name: xr.Variable(
+                about["dims"],
+                indexing.LazilyIndexedArray(_Values(self, name, about)),
+                {key: _from_json(value) for key, value in about["attrs"].items()},
+                {"dtype": _dtype(about["dtype"]) if about["dtype"] != TEXT else str},
+            )
+            for name, about in self.told["variables"].items()
+        }
+
+    def get_attrs(self) -> dict[str, Any]:
+        """Return the attributes of the group."""
+        return {key: _from_json(value) for key, value in self.told["attrs"].items()}
+
+    def close(self) -> None:
+        """Do nothing: who opened the file closes it."""
+
+
+class _Values(BackendArray):
+    """The values of a variable, read whole when the first of them is asked for."""
+
+    def __init__(self, group: _Group, name: str, about: Mapping[str, Any]) -> None:
+        self.group, self.name = group, name
+        self.kind = about["dtype"]
+        self.dtype, self.shape = _dtype(self.kind), tuple(about["shape"])
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        """Return some of the values."""
+        support = indexing.IndexingSupport.BASIC
+        return indexing.explicit_indexing_adapter(key, self.shape, support, lambda plain: self._whole[plain])
+
+    @cached_property
+    def _whole(self) -> NDArray[Any]:
+        _, content = self.group.asked(self.group.file, "read", group=self.group.path, name=self.name)
+        if self.kind != TEXT:
+            return np.frombuffer(content, dtype=self.dtype).reshape(self.shape)
+        values = np.empty(self.shape, dtype=object)
+        values.ravel()[:] = json.loads(content)
+        return values
+
+
+def _dtype(kind: str) -> np.dtype[Any]:
+    return np.dtype(object if kind == TEXT else kind)
+
+
+def _from_json(value: Any) -> Any:
+    """Return an attribute as `netcdf_process` was told it."""
+    if not isinstance(value, dict):
+        return value
+    if "bytes" in value:
+        return value["bytes"].encode("latin-1")
+    numbers = np.frombuffer(base64.b64decode(value["content"]), dtype=value["dtype"]).reshape(value["shape"])
+    return numbers[()]
 
 
 @contextmanager

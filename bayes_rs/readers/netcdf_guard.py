@@ -1,4 +1,4 @@
-"""One process that reads NetCDF-4 files first, and is killed where the HDF5 library hangs or dies on one."""
+"""One process that reads NetCDF-4 files, and is killed where the HDF5 library hangs or dies on one."""
 
 from __future__ import annotations
 
@@ -14,80 +14,114 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_rs.readers import netcdf_walk
+from bayes_rs.errors import InputError
+from bayes_rs.readers import netcdf_process
 
 SECONDS = 20.0
 BYTES_PER_SECOND = 1e6
 """How long a file may take: far more than a good one does."""
 START_SECONDS = 60.0
 
-_SCRIPT = Path(__file__).with_name("netcdf_walk.py")
+_SCRIPT = Path(__file__).with_name("netcdf_process.py")
 _Key = tuple[str, int, int]
+_Answer = tuple[dict[str, Any], bytearray | bytes]
+_LOST = ("AttributeError", "TypeError", "AssertionError", "KeyError", "IndexError")
+"""Kinds of errors that libraries raise where a file contradicts itself."""
 _TRIES = 2  # a process can also die for another reason than the file
 _log = logging.getLogger(__name__)
 
 
-def find_fault(file: Path) -> str:
-    """Have a file walked over in the other process, which starts with the first file and ends with this process.
+def ask(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | bytes]:
+    """Have a file looked at, read or closed in the other process, which starts with the first file and ends with this.
 
-    Where no process can be started this one walks, and a warning is logged once.
+    Where no process can be started this one does it, and a warning is logged once.
 
     Parameters
     ----------
     file : Path
         An HDF5 file.
+    do, **what : str
+        As `netcdf_process.answer` says.
 
     Returns
     -------
-    fault : str
-        What is wrong with it, nothing for a good file.
+    told : dict
+        What the answer says.
+    content : bytes
+        The values that were read.
 
     Raises
     ------
+    InputError
+        If there is a fault in it, or the library hangs or dies.
     OSError
-        With the words and the number of what a library raised.
+        With the words and the number of what the library raised.
     """
-    fault = _guard.ask(file)
-    return netcdf_walk.find_fault(str(file)) if fault is None else fault
+    request = {"do": do, **what}
+    answer = _guard.ask(file, request)
+    if answer is None:
+        answer = netcdf_process.answer({"file": os.path.abspath(file), **request})  # noqa: PTH100 - links stay
+    return _meaning(file, answer)
+
+
+def ask_here(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | bytes]:
+    """Have a file that nobody but us can have written looked at, read or closed by this process; as `ask`."""
+    return _meaning(file, netcdf_process.answer({"file": os.path.abspath(file), "do": do, **what}))  # noqa: PTH100
+
+
+def _meaning(file: Path, answer: _Answer) -> _Answer:
+    told, _ = answer
+    if "error" in told:
+        said = told["error"]
+        if told["kind"] in _LOST:
+            said = f"the library cannot follow what it says ({said})"
+        error = OSError(said)
+        error.errno = told["errno"]
+        raise error
+    if told.get("fault"):
+        raise InputError(f"File {str(file)!r} cannot be read as NetCDF: {told['fault']}")
+    return answer
 
 
 @dataclass
 class _Guard:
-    """The process, the files on which it hung or died, and the last one that was good: it is often opened again."""
+    """The process, the files on which it hung or died, and what it saw of the last one, which is often opened again."""
 
     process: subprocess.Popen[bytes] | None = None
     usable: bool = True
     fatal: dict[_Key, str] = field(default_factory=dict)
-    good: _Key | None = None
+    seen: tuple[_Key, _Answer] | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def ask(self, file: Path) -> str | None:
-        """Have a file walked over; again by a new process if one dies."""
+    def ask(self, file: Path, request: dict[str, str]) -> _Answer | None:
+        """Have a request answered, again by a new process if one dies; None where there is no process."""
         path, stat = os.path.abspath(file), file.stat()  # noqa: PTH100 - the process may stand elsewhere; links stay
         key, seconds = (path, stat.st_size, stat.st_mtime_ns), SECONDS + stat.st_size / BYTES_PER_SECOND
-        request = json.dumps({"file": path, "seconds": seconds}).encode() + b"\n"
+        line = json.dumps({"file": path, "seconds": seconds, **request}).encode() + b"\n"
         with self.lock:
-            if key == self.good:
-                return ""
-            if key in self.fatal:
-                return self.fatal[key]
+            if request["do"] == "close" and self.process is None:
+                return {}, b""
+            if request["do"] == "look" and self.seen is not None and self.seen[0] == key:
+                return self.seen[1]
             died = False
-            for _ in range(_TRIES):
+            for _ in range(0 if key in self.fatal else _TRIES):
                 process = self._running()
                 if process is None:
                     break
-                answer, late = self._exchange(process, request, seconds)
-                if answer:
-                    fault = self._meaning(answer)
-                    self.good = None if fault else key
-                    return fault
+                answer, late = self._exchange(process, line, seconds)
+                if answer is not None:
+                    if answer[0].get("spoilt"):
+                        self.end()
+                    if "groups" in answer[0]:
+                        self.seen = key, answer
+                    return answer
                 died = True
                 if late:
                     self.fatal[key] = _fault(f"the HDF5 library has no end with it, after {seconds:.0f} s")
-                    return self.fatal[key]
+                    break
             if died:
-                self.fatal[key] = _fault("the HDF5 library crashes on it")
-            return self.fatal.get(key)
+                self.fatal.setdefault(key, _fault("the HDF5 library crashes on it"))
+            return ({"fault": self.fatal[key]}, b"") if key in self.fatal else None
 
     def end(self) -> None:
         """End the process, whatever it does; without one, do nothing."""
@@ -104,17 +138,6 @@ class _Guard:
         if process is not None:
             process.returncode = 0  # not ours to wait for
             _close(process)
-
-    def _meaning(self, answer: bytes) -> str:
-        found: dict[str, Any] = json.loads(answer)
-        if "error" in found:
-            if found["spoilt"]:
-                self.end()
-            error = OSError(found["error"])
-            error.errno = found["errno"]
-            raise error
-        fault: str = found.get("fault", "")
-        return fault
 
     def _running(self) -> subprocess.Popen[bytes] | None:
         if self.process is not None and self.process.poll() is not None:
@@ -133,22 +156,23 @@ class _Guard:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
-                    bufsize=0,
                     start_new_session=True,  # Ctrl-C is for who asks
                 )
-                line, _ = self._exchange(self.process, b"", START_SECONDS)
+                ready, _ = self._exchange(self.process, b"", START_SECONDS)
             except (OSError, RuntimeError) as error:  # RuntimeError: no thread can be started
                 reason = str(error)
             else:
-                if line == netcdf_walk.READY:
+                if ready is not None:
                     return self.process
                 reason = "it does not start"
         _log.warning("NetCDF-4 files are read without a process that protects from damaged ones: %s", reason)
         return None
 
-    def _exchange(self, process: subprocess.Popen[bytes], request: bytes, seconds: float) -> tuple[bytes, bool]:
-        """Send a line and wait for one; nothing, and no process any more, where none comes in time."""
-        late = threading.Event()
+    def _exchange(
+        self, process: subprocess.Popen[bytes], request: bytes, seconds: float
+    ) -> tuple[_Answer | None, bool]:
+        """Send a line and wait for its answer; none, and no process any more, where none comes in time."""
+        late, answer = threading.Event(), None
 
         def stop() -> None:
             late.set()
@@ -156,25 +180,34 @@ class _Guard:
 
         timer = threading.Timer(seconds, stop)
         timer.daemon = True
-        line = b""
         try:
             timer.start()
-            if process.stdin is None or process.stdout is None:
-                return b"", False
             with suppress(OSError):
-                if request:
-                    process.stdin.write(request)
-                line = process.stdout.readline()
+                answer = _exchanged(process, request)
             timer.cancel()
             timer.join()
         except BaseException:  # an interrupt: what is still to be answered must not be taken for the next answer
             timer.cancel()
             self.end()
             raise
-        complete = line.endswith(b"\n")
-        if late.is_set() or not complete:
+        if late.is_set() or answer is None:
             self.end()
-        return (line if complete else b""), late.is_set()
+        return answer, late.is_set()
+
+
+def _exchanged(process: subprocess.Popen[bytes], request: bytes) -> _Answer | None:
+    """Send a line and read its answer; none, if the process ends before it is whole."""
+    if process.stdin is None or process.stdout is None:
+        return None
+    process.stdin.write(request)
+    process.stdin.flush()
+    line = process.stdout.readline()
+    if not line.endswith(b"\n"):
+        return None
+    told: dict[str, Any] = json.loads(line)
+    content = bytearray(told.pop("n_byte"))
+    whole = process.stdout.readinto(content) == len(content)  # type: ignore[attr-defined] # a BufferedReader
+    return (told, content) if whole else None
 
 
 def _fault(reason: str) -> str:

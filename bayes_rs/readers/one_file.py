@@ -14,8 +14,6 @@ from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import check_netcdf
 from bayes_rs.readers.registry import READERS
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import open_table
@@ -82,8 +80,6 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
         )
     with plain_file(file) as plain:
         try:
-            if plain_suffix(plain) in NETCDF_SUFFIXES:
-                check_netcdf(plain)
             yield plain, lambda samples: replace(samples, file=file)
         except InputError as error:
             if plain == file:

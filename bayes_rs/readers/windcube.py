@@ -16,7 +16,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import load_groups, load_netcdf, open_netcdf
+from bayes_rs.readers.netcdf_file import open_groups, open_netcdf
 from bayes_rs.readers.ray_variables import (
     decode_times,
     join_rays,
@@ -106,28 +106,29 @@ def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
     if file_format.status_valid is None:
         file_format = replace(file_format, status_valid=STATUS_VALID)
     names = own_names(NAMES, file_format)
-    root = load_netcdf(file, decode_times=False)
     velocity = names["radial_velocity"]
-    sweeps = [root] if velocity in root.variables else list(load_groups(file).values())
-    sweeps = [sweep for sweep in sweeps if velocity in sweep.variables]
-    if not sweeps:
+    parts: list[Rays] = []
+    with open_groups(file) as groups:
+        sweeps = [group for group in groups.values() if velocity in group.variables]
+        if velocity in groups["/"].variables:
+            sweeps = sweeps[:1]
+        for sweep in sweeps:
+            parts.append(
+                rays_from(
+                    sweep,
+                    file,
+                    file_format,
+                    kind="windcube",
+                    names=names,
+                    time=_times(sweep, names["time"], file),
+                    accumulation_time=_accumulation_time(sweep),
+                    first_row=1 + sum(len(part.time) for part in parts),
+                )
+            )
+    if not parts:
         raise InputError(
             f"File {str(file)!r} has no variable {velocity!r}, in its root or in a group: it is not a WindCube's "
             "NetCDF file, or of a scan that was broken off; leave it out, or give another file_format."
-        )
-    parts: list[Rays] = []
-    for sweep in sweeps:
-        parts.append(
-            rays_from(
-                sweep,
-                file,
-                file_format,
-                kind="windcube",
-                names=names,
-                time=_times(sweep, names["time"], file),
-                accumulation_time=_accumulation_time(sweep),
-                first_row=1 + sum(len(part.time) for part in parts),
-            )
         )
     return join_rays(parts)
 

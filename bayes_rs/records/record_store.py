@@ -387,8 +387,7 @@ def _part(index: int) -> str:
 
 
 def _open(folder: ResultFolder, index: int) -> xr.Dataset:
-    name = _part(index)
-    return load_netcdf(folder.path / name, content=folder.read(name)).drop_encoding()
+    return load_netcdf(folder.checked(_part(index))).drop_encoding()
 
 
 def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked: _Asked) -> _Progress:
