@@ -314,6 +314,22 @@ class TestOneDoor:
                 assert found["packed"].encoding[name] == right["packed"].encoding[name]
 
     @pytest.mark.usefixtures("guard")
+    def test_one_that_says_nonsense_of_its_sign(self, tmp_path):
+        series = SHORT.copy()
+        series["radial_velocity"].attrs["positive"] = "sideways"
+        words = r"a\.nc' says of itself what cannot be used: .*'sideways'"
+        with pytest.raises(InputError, match=words):
+            read(write(tmp_path / "a.nc", series), SIX)
+
+    @pytest.mark.usefixtures("guard")
+    def test_a_dimension_that_a_variable_has_twice(self, tmp_path):
+        with h5py.File(write(tmp_path / "a.nc"), "a") as opened:
+            opened["twice"] = np.zeros((48, 48))
+            opened["twice"].dims[0].attach_scale(opened["sample"])
+            opened["twice"].dims[1].attach_scale(opened["sample"])
+        assert load_netcdf(tmp_path / "a.nc")["twice"].dims == ("sample", "sample (2)")
+
+    @pytest.mark.usefixtures("guard")
     def test_groups(self, tmp_path):
         with h5py.File(tmp_path / "a.nc", "w") as opened:
             opened["one/two/x"] = np.arange(3.0)

@@ -118,7 +118,7 @@ class _Group(AbstractDataStore):
         """Return the variables; their values are read when they are asked for."""
         return {
             name: xr.Variable(
-                about["dims"],
+                _distinct(about["dims"]),
                 indexing.LazilyIndexedArray(_Values(self, name, about)),
                 {key: _from_json(value) for key, value in about["attrs"].items()},
                 {"dtype": _dtype(about["dtype"]) if about["dtype"] != TEXT else str},
@@ -155,6 +155,11 @@ class _Values(BackendArray):
         values = np.empty(self.shape, dtype=object)
         values.ravel()[:] = json.loads(content)
         return values
+
+
+def _distinct(dims: list[str]) -> list[str]:
+    """Number a dimension that a variable has more than once: xarray goes wrong with such in silence."""
+    return [dim if dim not in dims[:index] else f"{dim} ({index + 1})" for index, dim in enumerate(dims)]
 
 
 def _dtype(kind: str) -> np.dtype[Any]:

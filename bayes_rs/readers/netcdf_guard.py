@@ -199,8 +199,7 @@ def _exchanged(process: subprocess.Popen[bytes], request: bytes) -> _Answer | No
     """Send a line and read its answer; none, if the process ends before it is whole."""
     if process.stdin is None or process.stdout is None:
         return None
-    process.stdin.write(request)
-    process.stdin.flush()
+    os.write(process.stdin.fileno(), request)  # past the buffer, which a fork could write a second time
     line = process.stdout.readline()
     if not line.endswith(b"\n"):
         return None

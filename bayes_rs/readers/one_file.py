@@ -92,7 +92,10 @@ def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, Fi
     own = reader.own_options(file) if reader.own_options is not None else None
     if own is None:
         return reader, resolve_format(options, scan, defaults=reader.defaults)
-    return reader, resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
+    try:
+        return reader, resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
+    except InputError as error:
+        raise InputError(f"File {str(file)!r} says of itself what cannot be used: {error}") from error
 
 
 def _find(file: Path, scan: Scan, options: FileOptions) -> Reader:

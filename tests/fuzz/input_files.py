@@ -70,7 +70,9 @@ def lines_of_text(raw: bytes, rng: np.random.Generator) -> bytes:
         case 4:
             lines.insert(at, b"\0" * int(rng.integers(1, 5000)))
         case 5:
-            return raw.decode("utf-8", "replace").encode(str(_draw(rng, ["utf-16", "utf-32", "cp037", "utf-8-sig"])))
+            return raw.decode("utf-8", "replace").encode(
+                str(_draw(rng, ["utf-16", "utf-32", "cp037", "utf-8-sig"])), "replace"
+            )
         case 6:
             lines.insert(at, b'"' + lines[at])
         case 7:
