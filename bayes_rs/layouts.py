@@ -243,7 +243,7 @@ def check_plain(kind: Any, values: Any, *, what: str, advice: str) -> None:
 def first_fault(error: ValidationError, *, leave_out: Collection[str] = ()) -> str:
     """Return the place, the value and the rule of the first entry that is not valid, in one line of limited length."""
     first = error.errors(include_url=False, include_context=False)[0]
-    place = ".".join(str(part) for part in first["loc"] if part not in leave_out)
+    place = ".".join(str(part) for part in first["loc"] if part not in leave_out) or "its content"
     if not place.isprintable() or len(place) > 2 * _SHOWN:
         place = shown(place)
     rule = {

@@ -31,6 +31,7 @@ from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.ledger import LEDGER
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
@@ -145,7 +146,7 @@ def open_fit(folder: str | Path) -> Fit:
     Parameters
     ----------
     folder : str or Path
-        Output folder of `fit` or of ``bayes-rs fit``.
+        Output folder of `fit` or of ``bayes-rs fit``, or a file at its top, such as ``posterior.nc``.
 
     Returns
     -------
@@ -166,6 +167,7 @@ def open_fit(folder: str | Path) -> Fit:
     ...     open_fit(f"{place}/two").summary().equals(found.summary())
     True
     """
+    folder = _folder_of(Path(folder))
     opened = open_result_folder(folder)
     if not opened.finished:
         raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
@@ -175,6 +177,11 @@ def open_fit(folder: str | Path) -> Fit:
     checked_run(run, str(opened.path / RUN_FILE))
     scan = load_scan_text(run["scan_toml"], name=run["scan"])
     return _fit_in(opened, run, scan, str(folder))
+
+
+def _folder_of(place: Path) -> Path:
+    """Return the folder of results that a file stands in, in place of the file; what else there is stays what it is."""
+    return place.parent if place.is_file() and (place.parent / LEDGER).is_file() else place
 
 
 def _fit_in(folder: ResultFolder, run: Mapping[str, Any], scan: Scan, place: str) -> Fit:
