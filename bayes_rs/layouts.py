@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from bayes_rs.errors import InputError
@@ -70,6 +71,8 @@ class Entry:
         What a coordinate must be, if that is known.
     positive : bool
         Whether all that is a number is above zero.
+    most : float
+        Absolute value that none of its numbers exceeds: powers of them still are numbers.
     flags : bool
         Whether its attributes may name bits, by the CF conventions.
     """
@@ -79,6 +82,7 @@ class Entry:
     unit: str = ""
     values: tuple[Any, ...] = ()
     positive: bool = False
+    most: float = 1e12
     flags: bool = False
 
 
@@ -116,35 +120,13 @@ def check_dataset(
     InputError
         For the first entry that is not what the layout says.
     """
-
-    def fault(name: str, words: str) -> InputError:
-        return InputError(f"{what} cannot be used: {name} {words}; {advice}.")
-
     for name in needs:
         if name not in dataset.variables:
             raise InputError(f"{what} have no {name} with dims {layout[name].dims}: {advice}.")
     for name, entry in layout.items():
-        if name not in dataset.variables:
-            continue
-        found = dataset[name].variable
-        dims = tuple(str(dim) for dim in found.dims)
-        if optional_dim and dims[:1] == (optional_dim,):
-            dims = dims[1:]
-        if dims != tuple(dim for dim in entry.dims if dim != optional_dim):
-            raise fault(name, f"has dims {found.dims}, and must have {entry.dims}")
-        kinds, words = _KINDS[entry.kind]
-        values = found.values
-        if values.dtype.kind not in kinds or (values.dtype.kind == "O" and not _all_texts(values)):
-            raise fault(name, f"holds {_type_words(values.dtype)}, and must hold {words}")
-        unit = found.attrs.get("units", entry.unit)
-        if entry.unit and (not isinstance(unit, str) or _unit(unit) != _unit(entry.unit)):
-            raise fault(name, f"is in {shown(unit)}, and must be in {entry.unit!r}")
-        if entry.values and tuple(values.tolist()) != entry.values:
-            raise fault(name, f"is {shown(values.tolist())}, and must be {', '.join(map(str, entry.values))}")
-        if entry.positive and (values <= 0.0).any():
-            raise fault(name, f"holds {values[values <= 0.0][0]}, and must be above zero")
-        if entry.flags and not _names_bits(found.attrs):
-            raise fault(name, "has flag_masks and flag_meanings that do not fit each other")
+        words = _fault_of(dataset[name].variable, entry, optional_dim) if name in dataset.variables else ""
+        if words:
+            raise InputError(f"{what} cannot be used: {name} {words}; {advice}.")
     if attributes is not None:
         check_plain(
             attributes, {str(key): _as_plain(value) for key, value in dataset.attrs.items()}, what=what, advice=advice
@@ -249,7 +231,7 @@ def first_fault(error: ValidationError, *, leave_out: Collection[str] = ()) -> s
     rule = {
         "extra_forbidden": "unknown key; remove it or correct its spelling",
         "missing": "required key is missing",
-    }.get(first["type"], first["msg"][0].lower() + first["msg"][1:])
+    }.get(first["type"], first["msg"][0].lower() + first["msg"][1:].split(" or instance of ")[0])
     rule = rule if len(rule) <= 3 * _SHOWN else f"{rule[: 3 * _SHOWN]}…"
     given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
     return f"{place}{given}: {rule}"
@@ -263,6 +245,35 @@ def shown(value: Any) -> str:
         return f"a whole number of {value.bit_length()} bits"  # the program need not be able to write it
     text = repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)
     return text if len(text) <= _SHOWN + 3 else f"{text[:_SHOWN]}…"
+
+
+def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
+    """Say in words what of a variable is not as its entry says; nothing if all is."""
+    dims = tuple(str(dim) for dim in found.dims)
+    if optional_dim and dims[:1] == (optional_dim,):
+        dims = dims[1:]
+    if dims != tuple(dim for dim in entry.dims if dim != optional_dim):
+        return f"has dims {found.dims}, and must have {entry.dims}"
+    kinds, words = _KINDS[entry.kind]
+    values = found.values
+    if values.dtype.kind not in kinds or (values.dtype.kind == "O" and not _all_texts(values)):
+        return f"holds {_type_words(values.dtype)}, and must hold {words}"
+    unit = found.attrs.get("units", entry.unit)
+    if entry.unit and (not isinstance(unit, str) or _unit(unit) != _unit(entry.unit)):
+        return f"is in {shown(_as_plain(unit))}, and must be in {entry.unit!r}"
+    if entry.values and tuple(values.tolist()) != entry.values:
+        return f"is {', '.join(map(str, values.tolist()))[:_SHOWN]}, and must be {', '.join(map(str, entry.values))}"
+    return _fault_of_values(values, entry, found.attrs)
+
+
+def _fault_of_values(values: Any, entry: Entry, attributes: Mapping[Any, Any]) -> str:
+    if entry.positive and (values <= 0.0).any():
+        return f"holds {values[values <= 0.0][0]}, and must be above zero"
+    if entry.kind == "number" and (beyond := np.abs(values) > entry.most).any():
+        return f"holds {values[beyond][0]:g}, and must hold numbers up to {entry.most:g}"
+    if entry.flags and not _names_bits(attributes):
+        return "has flag_masks and flag_meanings that do not fit each other"
+    return ""
 
 
 def _all_texts(values: Any) -> bool:

@@ -274,7 +274,9 @@ class TestRunFile:
 
     def test_no_json(self, tmp_path):
         (tmp_path / "run.json").write_text("{")
-        with pytest.raises(InputError, match=r"run\.json' cannot be read as JSON: Expecting .*; give the run\.json of a fit\."):
+        with pytest.raises(
+            InputError, match=r"run\.json' cannot be read as JSON: Expecting .*; give the run\.json of a fit\."
+        ):
             Settings.load(tmp_path / "run.json")
 
 

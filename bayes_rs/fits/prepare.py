@@ -111,8 +111,6 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
     """Check the records and return the scan with only the beams that they hold."""
     check_layout(records, "variance", "flag", "wind_speed", "yaw")
-    if records.sizes["record"] == 0:
-        raise InputError("There is no record: the series is shorter than one averaging period.")
     return scan.select(records["beam"].values)
 
 

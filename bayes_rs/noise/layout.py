@@ -32,11 +32,12 @@ _ARRAYS = {
     "sonic_beam_covariance": ("state", "stress", "beam"),
 }
 _UNITS = {"units": "1"}
+_MOST = 1e6  # of relative numbers, which in any air are about 1
 _LAYOUT = {
-    **{name: Entry(dims, unit="1") for name, dims in _ARRAYS.items()},
-    "covariance_upper": Entry(("state", "beam_pair"), unit="1"),
-    "gain_change": Entry(_ARRAYS["gain"], unit="1"),
-    "n_realizations": Entry(("state",)),
+    **{name: Entry(dims, unit="1", most=_MOST) for name, dims in _ARRAYS.items()},
+    "covariance_upper": Entry(("state", "beam_pair"), unit="1", most=_MOST),
+    "gain_change": Entry(_ARRAYS["gain"], unit="1", most=_MOST),
+    "n_realizations": Entry(("state",), most=float("inf")),
     "method": Entry(("state",), "text"),
     "details": Entry(("state",), "text"),
     "beam": Entry(("beam",), "whole"),

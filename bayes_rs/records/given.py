@@ -21,7 +21,7 @@ def check_are_records(records: xr.Dataset) -> None:
         raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
-    check_layout(records)
+    check_layout(records, "variance", "beam")
 
 
 def check_is_series(series: xr.Dataset) -> None:

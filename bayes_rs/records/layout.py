@@ -7,11 +7,13 @@ from typing import Annotated, Any
 import xarray as xr
 from pydantic import Field, Json, model_validator
 
+from bayes_rs.errors import InputError
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
 
 _RECORD = ("record",)
 _BOTH = ("record", "beam")
 _VARIANCE, _SPEED, _ANGLE = "m2 s-2", "m s-1", "degree"
+_ANY = float("inf")  # what is too large is not believed, or has a message of its own, and need not be refused
 REPORT = "records_report"
 """Attribute of records that only they have."""
 _ADVICE = "make them with bayes_rs.make_records"
@@ -19,14 +21,17 @@ _ADVICE = "make them with bayes_rs.make_records"
 RECORDS: dict[str, Entry] = {
     "beam": Entry(("beam",), "whole"),
     "time": Entry(_RECORD, "time"),
-    "variance": Entry(_BOTH, unit=_VARIANCE),
-    "mean": Entry(_BOTH, unit=_SPEED),
+    "variance": Entry(_BOTH, unit=_VARIANCE, most=_ANY),
+    "mean": Entry(_BOTH, unit=_SPEED, most=_ANY),
     "count": Entry(_BOTH),
     "flag": Entry(_BOTH, "whole", flags=True),
-    "wind_speed": Entry(_RECORD, unit=_SPEED),
-    "yaw": Entry(_RECORD, unit=_ANGLE),
+    "wind_speed": Entry(_RECORD, unit=_SPEED, most=_ANY),
+    "yaw": Entry(_RECORD, unit=_ANGLE, most=_ANY),
     "record_flag": Entry(_RECORD, "whole", flags=True),
-    **{name: Entry(_RECORD, unit=_ANGLE) for name in ("tilt", "roll", "tilt_sd", "roll_sd", "heading", "yaw_sd")},
+    **{
+        name: Entry(_RECORD, unit=_ANGLE, most=_ANY)
+        for name in ("tilt", "roll", "tilt_sd", "roll_sd", "heading", "yaw_sd")
+    },
     "wind_direction": Entry(_RECORD, unit=_ANGLE),
     "wind_speed_sd": Entry(_RECORD, unit=_SPEED),
     "motion_count": Entry(_RECORD),
@@ -48,8 +53,8 @@ RECORDS: dict[str, Entry] = {
     "spectral_length_scale_log_sd": Entry(_RECORD),
     "gamma": Entry(_RECORD),
     "other_length_scale": Entry(_RECORD, "whole"),
-    "instrument_noise": Entry(_BOTH, unit=_VARIANCE),
-    "instrument_noise_sd": Entry(_BOTH, unit=_VARIANCE),
+    "instrument_noise": Entry(_BOTH, unit=_VARIANCE, most=_ANY),
+    "instrument_noise_sd": Entry(_BOTH, unit=_VARIANCE, most=_ANY),
     "instrument_noise_common_sd": Entry(_BOTH, unit=_VARIANCE),
     "variance_scatter": Entry(_RECORD),
     "variance_scatter_of_beams": Entry(_RECORD),
@@ -228,3 +233,5 @@ def check_layout(records: xr.Dataset, *needs: str, what: str = "The records", ad
         attributes=RecordsAttributes,
         advice=advice,
     )
+    if needs and records.sizes.get("record") == 0:
+        raise InputError("There is no record: the series is shorter than one averaging period.")
