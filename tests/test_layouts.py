@@ -64,13 +64,15 @@ def refused(call):
     return str(found.value)
 
 
-class TestDatasets:
-    LAYOUT = {
-        "speed": Entry(("record",), unit="m s-1", positive=True),
-        "flag": Entry(("record", "beam"), "whole", flags=True),
-        "name": Entry(("beam",), "text", values=("a", "b")),
-    }
+DATASET = {
+    "speed": Entry(("record",), unit="m s-1", positive=True),
+    "flag": Entry(("record", "beam"), "whole", flags=True),
+    "name": Entry(("beam",), "text", values=("a", "b")),
+}
+TABLE = {"record": "whole", "uu": "size", "flag": "text", "time": "time"}
 
+
+class TestDatasets:
     def dataset(self, **changes):
         return xr.Dataset(
             {
@@ -86,7 +88,7 @@ class TestDatasets:
         )
 
     def check(self, dataset, **options):
-        check_dataset(dataset, self.LAYOUT, what="The things", advice="make them", **options)
+        check_dataset(dataset, DATASET, what="The things", advice="make them", **options)
 
     def test_what_fits(self):
         self.check(self.dataset())
@@ -124,8 +126,6 @@ class TestDatasets:
 
 
 class TestTables:
-    LAYOUT = {"record": "whole", "uu": "size", "flag": "text", "time": "time"}
-
     def table(self, **changes):
         columns = {
             "record": pa.array([0, 1]),
@@ -136,7 +136,7 @@ class TestTables:
         return pa.table({**columns, **changes})
 
     def test_what_fits(self):
-        check_table(self.table(), self.LAYOUT, what="It", advice="make it")
+        check_table(self.table(), TABLE, what="It", advice="make it")
 
     @pytest.mark.parametrize(
         ("changes", "words"),
@@ -152,15 +152,15 @@ class TestTables:
         ],
     )
     def test_what_does_not(self, changes, words):
-        text = refused(lambda: check_table(self.table(**changes), self.LAYOUT, what="It", advice="make it"))
+        text = refused(lambda: check_table(self.table(**changes), TABLE, what="It", advice="make it"))
         assert text.startswith(f"It cannot be used: {words}")
 
     def test_a_column_twice_or_never(self):
         table = self.table()
         twice = table.append_column("uu", table["uu"])
-        assert "has 2 columns 'uu'" in refused(lambda: check_table(twice, self.LAYOUT, what="It", advice=""))
+        assert "has 2 columns 'uu'" in refused(lambda: check_table(twice, TABLE, what="It", advice=""))
         none = table.drop_columns(["uu"])
-        assert "has no column 'uu'" in refused(lambda: check_table(none, self.LAYOUT, what="It", advice=""))
+        assert "has no column 'uu'" in refused(lambda: check_table(none, TABLE, what="It", advice=""))
 
 
 class TestJson:

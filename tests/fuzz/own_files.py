@@ -198,60 +198,68 @@ def change_dataset(file: Path, rng: np.random.Generator) -> None:
     write_netcdf(_changed(dataset, rng), file)
 
 
+Item = tuple[tuple[Any, ...], np.ndarray, dict[Any, Any]]
+"""Dimensions, values and attributes of a variable."""
+
+
+def _as_numbers(item: Item, rng: np.random.Generator) -> Item:
+    dims, values, attributes = item
+    values = values.astype(np.float64)
+    values[rng.random(values.shape) < rng.choice([0.1, 1.0])] = rng.choice(
+        [np.nan, np.inf, -np.inf, 1e300, -1.0, 0.0, 1e-300]
+    )
+    return dims, values, attributes
+
+
+def _of_another_type(item: Item, rng: np.random.Generator) -> Item:
+    kind = [np.int8, np.uint64, np.float32, np.int64, np.bool_][rng.integers(5)]
+    with np.errstate(all="ignore"):
+        return item[0], item[1].astype(kind), item[2]
+
+
+def _with_attribute(item: Item, rng: np.random.Generator) -> Item:
+    attributes = dict(item[2])
+    if attributes and rng.random() < 0.5:
+        attributes.pop(str(list(attributes)[rng.integers(len(attributes))]))
+    else:
+        attributes["flag_masks"] = [np.array([1, 2]), "1 2", 3.5][rng.integers(3)]
+    return item[0], item[1], attributes
+
+
+_OF_ITEM: list[Callable[[Item, np.random.Generator], Item]] = [
+    lambda item, rng: (item[0], item[1].astype(str).astype(object), item[2]),  # noqa: ARG005 - as all
+    lambda item, rng: (item[0], np.full(item[1].shape, np.datetime64("2020-01-01", "ns")), item[2]),  # noqa: ARG005
+    lambda item, rng: (item[0][::-1], item[1].T, item[2]),  # noqa: ARG005
+    lambda item, rng: (item[0][:-1], item[1][..., 0], item[2]),  # noqa: ARG005
+    lambda item, rng: (item[0], item[1], {**item[2], "units": _UNITS[rng.integers(len(_UNITS))]}),
+    lambda item, rng: (tuple(f"{dim}_x" for dim in item[0]), item[1], item[2]),  # noqa: ARG005
+    lambda item, rng: (item[0], item[1].astype(np.float64) * rng.choice([-1.0, 1e3, 1e-3, 1e12]), item[2]),
+    _as_numbers,
+    _of_another_type,
+    _with_attribute,
+]
+_FIRST = ("variance", "flag", "wind_speed", "yaw", "beam", "time", "gain", "covariance")
+"""Variables that everything depends on."""
+
+
 def _changed(dataset: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
-    names = list(dataset.variables)
-    name = str(names[rng.integers(len(names))])
-    if rng.random() < 0.4:  # what everything depends on
-        first = [
-            one
-            for one in ("variance", "flag", "wind_speed", "yaw", "beam", "time", "gain", "covariance")
-            if one in names
-        ]
-        name = first[rng.integers(len(first))]
-    item = dataset[name].variable
-    values, attributes = np.asarray(item.values), dict(item.attrs)
-    dims = item.dims
-    how = rng.integers(15)
+    names = [str(name) for name in dataset.variables]
+    first = [name for name in _FIRST if name in names]
+    name = str(rng.choice(first if rng.random() < 0.4 else names))
+    how = int(rng.integers(len(_OF_ITEM) + 5))
     if how == 0:
         return dataset.drop_vars(name)
     if how == 1:
         return dataset.rename({name: f"{name}_x"})
     if how == 2:
-        values = values.astype(str).astype(object)
-    elif how == 3:
-        values = np.full(values.shape, np.datetime64("2020-01-01", "ns"))
-    elif how == 4 and len(dims) > 1:
-        values, dims = values.T, dims[::-1]
-    elif how == 5 and len(dims) > 1:
-        values, dims = values[..., 0], dims[:-1]
-    elif how == 6 and len(dims):
-        which = dims[int(rng.integers(len(dims)))]
+        which = list(dataset.sizes)[int(rng.integers(len(dataset.sizes)))]
         return dataset.isel({which: slice(int(rng.integers(2)), int(rng.integers(0, 5)))})
-    elif how == 7:
-        attributes["units"] = _UNITS[rng.integers(len(_UNITS))]
-    elif how == 8 and values.dtype.kind in "iuf" and values.size:
-        values = values.astype(np.float64)
-        some = rng.random(values.shape) < rng.choice([0.1, 1.0])
-        values[some] = rng.choice([np.nan, np.inf, -np.inf, 1e300, -1.0, 0.0, 1e-300])
-    elif how == 9:
-        if attributes and rng.random() < 0.5:
-            attributes.pop(str(list(attributes)[rng.integers(len(attributes))]))
-        else:
-            attributes["flag_masks"] = [np.array([1, 2]), "1 2", 3.5][rng.integers(3)]
-    elif how == 10:
-        dims = tuple(f"{dim}_x" for dim in dims)
-        return dataset.drop_vars(name).assign({f"{name}": (dims, values, attributes)})
-    elif how == 11 and values.dtype.kind in "iuf":
-        kind = [np.int8, np.uint64, np.float32, np.int64, np.bool_][rng.integers(5)]
-        with np.errstate(all="ignore"):
-            values = values.astype(kind)
-    elif how == 12 and values.dtype.kind in "iuf":
-        values = values.astype(np.float64) * rng.choice([-1.0, 1e3, 1e-3, 1e12])
-    elif how >= 13:
+    if how in (3, 4):
         return _changed_attribute(dataset, rng)
+    found = dataset[name].variable
+    dims, values, attributes = _OF_ITEM[how - 5]((found.dims, np.asarray(found.values), dict(found.attrs)), rng)
     rest = dataset.drop_vars(name)
-    clash = any(rest.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True))
-    if clash:
+    if any(rest.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
         dims = tuple(f"{dim}_y" for dim in dims)
     changed = xr.Variable(dims, values, attributes)
     return rest.assign_coords({name: changed}) if name in dataset.coords else rest.assign({name: changed})
@@ -272,58 +280,47 @@ def _changed_attribute(dataset: xr.Dataset, rng: np.random.Generator) -> xr.Data
     return changed
 
 
+def _some_numbers(column: Any, rng: np.random.Generator) -> pa.Array:
+    kind, odd = (np.int64, [-1, 0, 10**9, 2**62, -(2**63)])
+    if pa.types.is_floating(column.type):
+        kind, odd = (np.float64, [np.nan, np.inf, 1e300, -1e300, -1.0])
+    values = column.to_numpy(zero_copy_only=False).astype(kind)
+    values[rng.random(len(values)) < rng.choice([0.02, 1.0])] = odd[rng.integers(len(odd))]
+    return pa.array(values)
+
+
+_OF_COLUMN: list[Callable[[Any, np.random.Generator], pa.Array]] = [
+    lambda column, rng: pa.array([str(value) for value in column.to_pylist()]),  # noqa: ARG005 - as all
+    lambda column, rng: pa.array([str(value).encode() + b"\xff" for value in column.to_pylist()]),  # noqa: ARG005
+    lambda column, rng: pa.array([[value] for value in column.to_pylist()]),  # noqa: ARG005
+    lambda column, rng: pa.array([{"a": value} for value in column.to_pylist()]),  # noqa: ARG005
+    lambda column, rng: pa.nulls(len(column), column.type if rng.random() < 0.5 else None),
+    lambda column, rng: pa.array([True] * len(column)),  # noqa: ARG005
+    _some_numbers,
+    _some_numbers,
+]
+_OF_TABLE: list[Callable[[pa.Table, str, np.random.Generator], pa.Table]] = [
+    lambda table, name, rng: table.drop_columns([name]),  # noqa: ARG005
+    lambda table, name, rng: table.rename_columns([f"{one}x" if one == name else one for one in table.column_names]),  # noqa: ARG005
+    lambda table, name, rng: table.slice(0, int(rng.integers(table.num_rows))),  # noqa: ARG005
+    lambda table, name, rng: table.slice(int(rng.integers(1, 3))),  # noqa: ARG005
+    lambda table, name, rng: pa.concat_tables([table, table.slice(0, int(rng.integers(1, 4)))]),  # noqa: ARG005
+    lambda table, name, rng: table.take(pa.array(rng.permutation(table.num_rows))),  # noqa: ARG005
+    lambda table, name, rng: table.append_column(name, table.column(name)),  # noqa: ARG005
+]
+
+
 def change_parquet(file: Path, rng: np.random.Generator) -> None:
     """Change a Parquet file by its meaning."""
     table = pq.ParquetFile(file).read()
-    index = int(rng.integers(table.num_columns))
-    if rng.random() < 0.3:
-        first = [
-            i
-            for i, name in enumerate(table.column_names)
-            if name in ("record", "time", "stress", "flag_bits", "uu", "mean")
-        ]
-        index = int(first[rng.integers(len(first))]) if first else index
-    name, column = table.column_names[index], table.column(index).combine_chunks()
-    n_row = table.num_rows
-
-    def put(values: Any) -> pa.Table:
-        return table.set_column(index, name, values)
-
-    how = int(rng.integers(14))
-    if how == 0:
-        table = table.drop_columns([name])
-    elif how == 1:
-        table = table.rename_columns([f"{one}x" if one == name else one for one in table.column_names])
-    elif how == 2:
-        table = put(pa.array([str(value) for value in column.to_pylist()]))
-    elif how == 3:
-        table = put(pa.array([str(value).encode() + b"\xff" for value in column.to_pylist()], pa.binary()))
-    elif how == 4:
-        table = put(pa.array([[value] for value in column.to_pylist()]))
-    elif how == 5:
-        table = put(pa.array([{"a": value} for value in column.to_pylist()]))
-    elif how == 6:
-        table = put(pa.nulls(n_row, column.type if rng.random() < 0.5 else None))
-    elif how == 7:
-        table = table.slice(0, int(rng.integers(n_row)))
-    elif how == 8:
-        table = table.slice(int(rng.integers(1, 3)))
-    elif how == 9:
-        table = pa.concat_tables([table, table.slice(0, int(rng.integers(1, 4)))])
-    elif how == 10:
-        table = table.take(pa.array(rng.permutation(n_row)))
-    elif how == 11 and pa.types.is_floating(column.type):
-        values = column.to_numpy(zero_copy_only=False).copy()
-        values[rng.random(n_row) < rng.choice([0.01, 1.0])] = rng.choice([np.nan, np.inf, 1e300, -1e300, -1.0])
-        table = put(pa.array(values))
-    elif how == 12 and pa.types.is_integer(column.type):
-        values = column.to_numpy(zero_copy_only=False).astype(np.int64)
-        values[rng.random(n_row) < rng.choice([0.05, 1.0])] = rng.choice([-1, 0, 10**9, 2**62, -(2**63)])
-        table = put(pa.array(values))
-    elif how == 13:
-        table = put(pa.array([True] * n_row))
+    first = [one for one in table.column_names if one in ("record", "time", "stress", "flag_bits", "uu", "mean")]
+    name = str(rng.choice(first if first and rng.random() < 0.3 else table.column_names))
+    how = int(rng.integers(len(_OF_COLUMN) + len(_OF_TABLE)))
+    if how < len(_OF_COLUMN):
+        column = table.column(name).combine_chunks()
+        table = table.set_column(table.column_names.index(name), name, _OF_COLUMN[how](column, rng))
     else:
-        table = table.append_column(name, column)
+        table = _OF_TABLE[how - len(_OF_COLUMN)](table, name, rng)
     sink = io.BytesIO()
     pq.write_table(table, sink)
     file.write_bytes(sink.getvalue())
