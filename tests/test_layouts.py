@@ -44,6 +44,11 @@ def whole(records, tmp_path_factory):
     return place
 
 
+@pytest.fixture(scope="module")
+def made():
+    return brs.make_records(brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1), "2-beam")
+
+
 @pytest.fixture
 def folder(whole, tmp_path):
     return shutil.copytree(whole, tmp_path / "out")
@@ -355,9 +360,23 @@ class TestRecords:
         bad = records.assign(yaw=records["yaw"].assign_attrs(units="rad"))
         assert "yaw is in 'rad'" in refused(lambda: brs.fit(bad, SCAN, noise=plain_noise(SCAN), seed=1))
 
-    def test_what_make_records_makes_fits(self):
-        series = brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
-        check_layout(brs.make_records(series, "2-beam"), "variance", "beam", "time")
+    def test_what_make_records_makes_fits(self, made):
+        check_layout(made, "variance", "beam", "time")
+
+    @pytest.mark.parametrize(("dim", "words"), [("blocks", "1 numbers of blocks"), ("part", "1 parts")])
+    def test_parts_of_another_scan(self, made, dim, words):
+        bad = made.isel({dim: slice(1)})
+        assert f"The records have {words} and those of 600 s" in refused(lambda: brs.fit(bad, "2-beam", seed=1))
+
+    def test_no_record(self, made):
+        empty = made.isel(record=slice(0))
+        assert refused(lambda: brs.fit(empty, "2-beam", seed=1)).startswith("There is no record")
+
+    def test_infinite_winds_are_not_believed(self, records):
+        bad = records.assign(yaw=records["yaw"].where(np.arange(N_RECORD) != 2, np.inf))
+        fit = brs.fit(bad, SCAN, noise=plain_noise(SCAN), seed=1, target_ess=50, sampler="direct", draws="none")
+        assert fit.fitted.tolist() == [True, True, False, True]
+        assert any("1 of 4 wind directions of the records are beyond 720 degrees" in line for line in fit.failures)
 
 
 class TestNoise:
