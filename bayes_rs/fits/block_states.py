@@ -154,13 +154,13 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise | MannTurbulence)
         return None
     turbulence, duration = (noise.turbulence, noise.duration) if isinstance(noise, Noise) else (noise, 600.0)
     duration = float(records.attrs.get("duration", duration))
-    for name, own, expected in (
+    for name, size, expected in (
         ("parts", records.sizes["part"], n_part(scan, duration)),
         ("numbers of blocks", records.sizes["blocks"], len(blocks_of(scan, duration))),
     ):
-        if own != expected:
+        if size != expected:
             raise InputError(
-                f"The records have {own} {name} and those of {duration:g} s of scan {scan.name!r} have {expected}: "
+                f"The records have {size} {name} and those of {duration:g} s of scan {scan.name!r} have {expected}: "
                 "make them anew with this scan."
             )
     speed, yaw = (np.asarray(records[name].values, dtype=np.float64) for name in ("wind_speed", "yaw"))
