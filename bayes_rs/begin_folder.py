@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -24,7 +23,8 @@ from bayes_rs.folder_place import (
     partial_of,
     remove_ours,
 )
-from bayes_rs.ledger import Ledger, read_ledger, write_ledger
+from bayes_rs.layouts import read_json
+from bayes_rs.ledger import KeyLine, Ledger, read_ledger, write_ledger
 from bayes_rs.result_folder import RUN_FILE, ResultFolder
 
 _STEM = 40
@@ -149,8 +149,9 @@ def _key_of(folder: Path) -> tuple[str | None, Mapping[str, Any]]:
     ledger = read_ledger(folder)
     if ledger is None or ledger.key is not None:
         return (None, {}) if ledger is None else (ledger.key, ledger.key_parts)
-    with suppress(InputError, ValueError, KeyError):  # the line with the key is damaged: run.json has it, too
-        run = json.loads(ResultFolder(folder, ledger).read(RUN_FILE))
+    with suppress(InputError):  # the line with the key is damaged: run.json has it, too
+        content = ResultFolder(folder, ledger).read(RUN_FILE)
+        run = read_json(KeyLine, content, what=RUN_FILE, advice="")
         return run["key"], run["key_parts"]
     return None, {}
 

@@ -8,7 +8,12 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import AfterValidator, TypeAdapter
+
+from bayes_rs.errors import InputError
+from bayes_rs.layouts import Count, Open, read_json
 
 LEDGER = "fingerprints.jsonl"
 """Name of the list, at the top of its folder."""
@@ -85,6 +90,39 @@ def fingerprint_of_file(file: Path, *, to_disk: bool = False) -> Fingerprint:
         return Fingerprint(opened.tell(), digest)
 
 
+def _check_path(path: str) -> str:
+    """Refuse a path that leads out of the folder: what is listed may be removed."""
+    if not path.isprintable() or any(part in ("", ".", "..") for part in path.split("/")):
+        raise ValueError("it must be a path inside the folder")
+    return path
+
+
+class KeyLine(Open):
+    """The line with the key of the run; `run.json` has it, too."""
+
+    key: str
+    key_parts: dict[str, str]
+
+
+class _FileLine(Open):
+    path: Annotated[str, AfterValidator(_check_path)]
+    check: str
+    n_byte: Count = 0
+    sha256: str = ""
+
+
+class _EndLine(Open):
+    n_file: Count
+    check: str
+
+
+class _KeyLine(KeyLine):
+    check: str
+
+
+_LINE = TypeAdapter(_FileLine | _EndLine | _KeyLine)
+
+
 def read_ledger(folder: Path) -> Ledger | None:
     """Read the list of a folder; None if it has none.
 
@@ -117,11 +155,11 @@ def read_ledger(folder: Path) -> Ledger | None:
 def _entry(line: bytes) -> dict[str, Any] | None:
     """Return what a line says; None if it is not as we wrote it."""
     try:
-        entry = json.loads(line)
-        del entry["check"]
-        return entry if _line(entry) == line + b"\n" else None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        entry = read_json(_LINE, line, what="line", advice="")
+    except InputError:
         return None
+    del entry["check"]
+    return entry if _line(entry) == line + b"\n" else None
 
 
 def _line(entry: Mapping[str, Any]) -> bytes:

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_rs.errors import InputError, LostResultsError
 from bayes_rs.folder_place import MARK, cannot_write, link_words, take_place
+from bayes_rs.layouts import read_json
 from bayes_rs.ledger import (
     HALF,
     LEDGER,
@@ -135,10 +136,11 @@ class ResultFolder:
         Raises
         ------
         InputError
-            If it is not as it was written.
+            If it is not as it was written, or no JSON.
         """
-        content: dict[str, Any] = json.loads(self.read(RUN_FILE))
-        return content
+        what = f"File {str(self.path / RUN_FILE)!r}"
+        found: dict[str, Any] = read_json(dict[str, Any], self.read(RUN_FILE), what=what, advice="fit anew")
+        return found
 
     def _unusable(self, name: str, reason: str) -> InputError:
         return InputError(f"File {str(self.path / name)!r} {reason}: resume the fit to make it again.")

@@ -13,10 +13,10 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from bayes_rs.errors import InputError
+from bayes_rs.layouts import first_fault
 
 MOST_BYTES = 2 * 1024**2
 """Length of a file: that of a list of ten thousand beams."""
-_SHOWN = 60
 _DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++\s*+\.\s*+){32}""")  # the time to read one is quadratic
 
 
@@ -93,29 +93,6 @@ def invalid_file(what: str, path: Path, error: ValidationError, *, leave_out: Co
         With the place, the value and the rule, in one line of limited length.
     """
     return InputError(f"Invalid {what} file {str(path)!r}: {first_fault(error, leave_out=leave_out)}.")
-
-
-def first_fault(error: ValidationError, *, leave_out: Collection[str] = ()) -> str:
-    """Return the place, the value and the rule of the first entry that is not valid; see `invalid_file`."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    place = ".".join(str(part) for part in first["loc"] if part not in leave_out)
-    if not place.isprintable() or len(place) > 2 * _SHOWN:
-        place = shown(place)
-    rule = {
-        "extra_forbidden": "unknown key; remove it or correct its spelling",
-        "missing": "required key is missing",
-    }.get(first["type"], first["msg"][0].lower() + first["msg"][1:])
-    rule = rule if len(rule) <= 3 * _SHOWN else f"{rule[: 3 * _SHOWN]}…"
-    given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
-    return f"{place}{given}: {rule}"
-
-
-def shown(value: Any) -> str:
-    """Return what to show of a value: all of a short one, the beginning of a long one, and no control characters."""
-    if isinstance(value, dict) or (isinstance(value, list) and not all(isinstance(one, (int, float)) for one in value)):
-        return f"a table of {len(value)} keys" if isinstance(value, dict) else f"a list of {len(value)} entries"
-    text = repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)
-    return text if len(text) <= _SHOWN + 3 else f"{text[:_SHOWN]}…"
 
 
 def toml_value(value: Any) -> str:

@@ -613,7 +613,7 @@ class TestAvailabilityTable:
         records = make_records(series_of(sound()), SCAN)
         with pytest.raises(InputError, match="The records have no count with dims"):
             brs.records.availability_table(records.drop_vars("count"))
-        with pytest.raises(InputError, match="The records have no time: make them"):
+        with pytest.raises(InputError, match="The records have no time with dims"):
             brs.records.availability_table(records.drop_vars("time"))
         with pytest.raises(InputError, match="The records have no records_report"):
             brs.records.availability_table(records.drop_attrs())

@@ -269,12 +269,14 @@ class TestRunFile:
 
     @pytest.mark.parametrize("run", [[], {"demo": 1}, {"settings": 3}])
     def test_another_file(self, run, tmp_path):
-        with pytest.raises(InputError, match=r"is not the run\.json of a fit: it has no settings\."):
+        with pytest.raises(InputError, match=r"run\.json' cannot be used: .*; give the run\.json of a fit\."):
             self.load(tmp_path, run)
 
     def test_no_json(self, tmp_path):
         (tmp_path / "run.json").write_text("{")
-        with pytest.raises(InputError, match=r"cannot be read as the run\.json of a run"):
+        with pytest.raises(
+            InputError, match=r"run\.json' cannot be read as JSON: Expecting .*; give the run\.json of a fit\."
+        ):
             Settings.load(tmp_path / "run.json")
 
 

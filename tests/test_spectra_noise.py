@@ -223,7 +223,7 @@ class TestFit:
     def test_input_is_checked(self, six, noise):
         _, records, _ = six
         of_beams = records.assign(instrument_noise=("beam", np.full(6, 0.1)))
-        with pytest.raises(brs.InputError, match=r"Invalid instrument_noise of the records, with dims \('beam',\)"):
+        with pytest.raises(brs.InputError, match=r"instrument_noise has dims \('beam',\), and must have"):
             self.draws(six, noise, of_beams, instrument_noise="records")
         with pytest.raises(brs.InputError, match="Unknown instrument_noise 'floor'"):
             self.draws(six, noise, records, instrument_noise="floor")

@@ -194,7 +194,9 @@ class TestFit:
         records = simulated(n_records=4)
         for name in ("instrument_noise", "instrument_noise_sd"):
             bad = records.assign(instrument_noise=0.0 * records["variance"]).assign({name: ("record", np.full(4, 0.1))})
-            with pytest.raises(brs.InputError, match=rf"Invalid {name} of the records, with dims \('record',\)"):
+            with pytest.raises(
+                brs.InputError, match=rf"records cannot be used: {name} has dims \('record',\), and must"
+            ):
                 brs.fit(bad, SIX, **self.OPTIONS)
 
     def test_what_is_not_known_of_it_widens_the_intervals(self):

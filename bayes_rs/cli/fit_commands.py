@@ -175,8 +175,9 @@ def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> N
     from bayes_rs.plot.corner_plot import corner as draw_corner
     from bayes_rs.result_folder import list_beside
 
-    figure = draw_corner(open_fit(folder), record)
-    picture = output if output is not None else folder / f"corner-{record.replace(':', '')}.png"
+    found = open_fit(folder)
+    figure = draw_corner(found, record)
+    picture = output if output is not None else Path(found.place) / f"corner-{record.replace(':', '')}.png"
     with output_file(picture, overwrite=overwrite) as part:
         figure.savefig(part, dpi=130)
     if output is None:

@@ -20,6 +20,7 @@ from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
 from bayes_rs.noise.file import as_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.records.belief import believed
+from bayes_rs.records.layout import check_layout
 
 BoolArray = NDArray[np.bool_]
 
@@ -309,9 +310,7 @@ def _coefficients(combinations: Mapping[str, ArrayLike] | None) -> FloatArray:
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
     """Check the records and return the scan with only the beams that they hold."""
-    for name, dims in (("variance", ("record", "beam")), ("flag", ("record", "beam")), ("yaw", ("record",))):
-        if name not in records or records[name].dims != dims:
-            raise InputError(f"The records have no {name} with dims {dims}: make them with bayes_rs.make_records.")
+    check_layout(records, "variance", "flag", "yaw")
     return scan.select(records["beam"].values)
 
 

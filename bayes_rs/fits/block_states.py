@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.records.block_statistics import blocks_of, chosen_beams, n_part
@@ -143,13 +144,29 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise | MannTurbulence)
     states : BlockStates or None
         Records are given to the nearest node of ln U and of the direction, and to those of ln L between which theirs
         lies, or over which it spreads; such that L/U is the record's own.
+
+    Raises
+    ------
+    InputError
+        If the records are cut into other parts than those of the scan.
     """
     if any(name not in records for name in STATISTICS):
         return None
     turbulence, duration = (noise.turbulence, noise.duration) if isinstance(noise, Noise) else (noise, 600.0)
+    duration = float(records.attrs.get("duration", duration))
+    for name, size, expected in (
+        ("parts", records.sizes["part"], n_part(scan, duration)),
+        ("numbers of blocks", records.sizes["blocks"], len(blocks_of(scan, duration))),
+    ):
+        if size != expected:
+            raise InputError(
+                f"The records have {size} {name} and those of {duration:g} s of scan {scan.name!r} have {expected}: "
+                "make them anew with this scan."
+            )
     speed, yaw = (np.asarray(records[name].values, dtype=np.float64) for name in ("wind_speed", "yaw"))
     pattern = np.asarray(records["part_beams"].values, dtype=np.int64).copy()
-    pattern[~(np.isfinite(speed) & (speed > 0.0) & np.isfinite(yaw))] = 0
+    of_beams = (pattern > 0) & (pattern < 1 << chosen_beams(scan).n_beam)
+    pattern[~(of_beams & np.isfinite(speed) & (speed > 0.0) & np.isfinite(yaw))] = 0
     found, count = np.unique(pattern[pattern > 0], return_counts=True)
     usual = found[np.argsort(count)[::-1][:_MOST_PATTERNS]]
     pattern[~np.isin(pattern, usual)] = 0
@@ -167,7 +184,7 @@ def block_states(records: xr.Dataset, scan: Scan, noise: Noise | MannTurbulence)
     return BlockStates(
         scan=scan,
         turbulence=replace(turbulence, gamma=float(np.median(noise.gamma))),
-        duration=float(records.attrs.get("duration", duration)),
+        duration=duration,
         pattern=pattern,
         yaw=np.where(on, np.rint(np.deg2rad(np.where(on, yaw, 0.0)) / _YAW_STEP), 0).astype(np.int64),
         speed=speed_node,

@@ -26,9 +26,11 @@ from bayes_rs.fits.campaign_records import CampaignRecords, campaign_records
 from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
 from bayes_rs.fits.parts import Done, Part
 from bayes_rs.fits.plan import Plan
-from bayes_rs.fits.tables import names_of_part, write_table
+from bayes_rs.fits.run_file import AboutCampaign
+from bayes_rs.fits.tables import ADVICE, names_of_part, write_table
 from bayes_rs.fits.workers import done_parts, run_serial
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.layouts import read_json
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.result_folder import ResultFolder
@@ -107,7 +109,9 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
         return Campaign(campaign_off(chosen))
     if any(folder.damage(name) for name in FILES):
         _write(folder, _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"])), crew))
-    about, prior = json.loads(folder.read(ABOUT_FILE)), load_campaign_prior(folder.checked(PRIOR_FILE))
+    what = f"File {str(folder.path / ABOUT_FILE)!r}"
+    about = read_json(AboutCampaign, folder.read(ABOUT_FILE), what=what, advice=ADVICE)
+    prior = load_campaign_prior(folder.checked(PRIOR_FILE))
     left = [part for part in plan.parts if any(folder.damage(name) for name, _ in _names(part))]
     of_index = {part.index: part for part in left}
     initial = plan.n_record - sum(len(part.batch) for part in left)
@@ -124,14 +128,15 @@ def _names(part: Part) -> list[tuple[str, NDArray[np.bool_]]]:
 
 def _write(folder: ResultFolder, learnt: CampaignDone) -> None:
     """Write what a campaign found, and remove what was fitted under another one's prior."""
-    before = None if folder.damage(ABOUT_FILE) else json.loads(folder.read(ABOUT_FILE))
+    content = (json.dumps(learnt.about, indent=2, sort_keys=True) + "\n").encode("ascii")
+    before = None if folder.damage(ABOUT_FILE) else folder.read(ABOUT_FILE)
     for name, table in learnt.tables.items():
         folder.write_bytes(TABLE_FILES[name], as_csv(table))
     folder.write(PRIOR_FILE, learnt.prior.save)
-    if before != learnt.about:
+    if before != content:
         for name in folder.names(f"{SUMMARY}/"):
             folder.remove(name)
-    folder.write_text(ABOUT_FILE, json.dumps(learnt.about, indent=2, sort_keys=True) + "\n")
+    folder.write_bytes(ABOUT_FILE, content)
 
 
 def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray, crew: Crew) -> CampaignDone:

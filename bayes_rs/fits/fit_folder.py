@@ -4,40 +4,40 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import xarray as xr
-from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits import campaign_stage
-from bayes_rs.fits.campaign_job import of_csv
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
-from bayes_rs.fits.columns import SUMMARY
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
+from bayes_rs.fits.folder_tables import DATASETS, FolderTables
 from bayes_rs.fits.parts import Done, Part, fit_part
-from bayes_rs.fits.plan import LAYOUT, Plan
-from bayes_rs.fits.tables import names_of_part, part_names, read_table, write_table
+from bayes_rs.fits.plan import LAYOUT, N_PRIOR_DRAW, Plan
+from bayes_rs.fits.run_file import checked_run
+from bayes_rs.fits.tables import ADVICE, names_of_part, read_table, write_table
 from bayes_rs.fits.workers import done_parts
+from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.ledger import LEDGER
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_file import load_netcdf
+from bayes_rs.records.layout import check_layout
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 PRIOR_FILE = "prior.parquet"
@@ -51,8 +51,6 @@ PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
 MOST_CSV = 20_000
 """Records up to which the summary is written as CSV, too."""
-DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY)
-"""The tables in parts."""
 
 
 def fit_into(
@@ -118,7 +116,7 @@ def fit_into(
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
-        tables = FolderTables(folder, int(run["part_records"]))
+        tables = FolderTables(folder, checked_run(run, str(folder.path / RUN_FILE)), plan.scan.beam.tolist())
         try:
             run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
         except (InputError, OSError):
@@ -130,7 +128,7 @@ def fit_into(
             "resume goes on from there."
         )
         raise
-    found = Fit(run, plan.scan, FolderTables(folder, int(run["part_records"])), _InFolder(folder), str(folder.path))
+    found = _fit_in(folder, run, plan.scan, str(folder.path))
     try:
         _write_exports(folder, found)
         counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
@@ -147,7 +145,7 @@ def open_fit(folder: str | Path) -> Fit:
     Parameters
     ----------
     folder : str or Path
-        Output folder of `fit` or of ``bayes-rs fit``.
+        Output folder of `fit` or of ``bayes-rs fit``, or a file at its top, such as ``posterior.nc``.
 
     Returns
     -------
@@ -168,47 +166,26 @@ def open_fit(folder: str | Path) -> Fit:
     ...     open_fit(f"{place}/two").summary().equals(found.summary())
     True
     """
+    folder = _folder_of(Path(folder))
     opened = open_result_folder(folder)
     if not opened.finished:
         raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
     run = opened.run()
     if "settings" not in run or "n_record" not in run:
         raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
+    checked_run(run, str(opened.path / RUN_FILE))
     scan = load_scan_text(run["scan_toml"], name=run["scan"])
-    return Fit(run, scan, FolderTables(opened, int(run["part_records"])), _InFolder(opened), str(folder))
+    return _fit_in(opened, run, scan, str(folder))
 
 
-@dataclass(frozen=True, eq=False)
-class FolderTables:
-    """Tables in a folder of results, in parts of so many records."""
+def _folder_of(place: Path) -> Path:
+    """Return the folder of results that a file stands in, in place of the file; what else there is stays what it is."""
+    return place.parent if place.is_file() and (place.parent / LEDGER).is_file() else place
 
-    folder: ResultFolder
-    part_records: int
 
-    @cached_property
-    def _names(self) -> dict[str, list[str]]:
-        found = {dataset: part_names(self.folder, dataset) for dataset in DATASETS}
-        here = self.folder.names()
-        found |= {dataset: [name] for dataset, name in campaign_stage.TABLE_FILES.items() if name in here}
-        return {dataset: names for dataset, names in found.items() if names}
-
-    @property
-    def datasets(self) -> tuple[str, ...]:
-        """Names of the tables that there are."""
-        return tuple(self._names)
-
-    def read(
-        self, dataset: str, columns: Sequence[str] | None = None, records: NDArray[np.int64] | None = None
-    ) -> pd.DataFrame:
-        """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
-        names = self._names[dataset]
-        if dataset in campaign_stage.TABLE_FILES:
-            table = of_csv(self.folder.read(names[0]))
-            return table if columns is None else table[list(columns)]
-        if records is not None and len(records):
-            parts = {f"part-{index:06d}.parquet" for index in np.unique(records // self.part_records).tolist()}
-            names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
-        return read_table(self.folder, names, columns)
+def _fit_in(folder: ResultFolder, run: Mapping[str, Any], scan: Scan, place: str) -> Fit:
+    tables = FolderTables(folder, checked_run(run, str(folder.path / RUN_FILE)), scan.beam.tolist())
+    return Fit(run, scan, tables, _InFolder(folder, tables), place)
 
 
 @dataclass(frozen=True)
@@ -216,13 +193,28 @@ class _InFolder:
     """The records and the prior's draws of a fit in a folder."""
 
     folder: ResultFolder
+    tables: FolderTables
 
     def records(self) -> xr.Dataset:
-        return load_netcdf(self.folder.checked(RECORDS_FILE))
+        file = self.folder.checked(RECORDS_FILE)
+        found = load_netcdf(file)
+        what = f"The records in {str(file)!r}"
+        check_layout(found, "variance", "beam", "flag", "wind_speed", "yaw", what=what, advice=ADVICE)
+        for name, own, of_fit in (
+            ("records", found.sizes["record"], self.tables.run.n_record),
+            ("beams", found["beam"].values.tolist(), list(self.tables.beams)),
+        ):
+            if own != of_fit:
+                raise InputError(f"{what} cannot be used: the {name} are {own}, and {of_fit} were fitted; {ADVICE}.")
+        return found
 
     def prior_draws(self) -> FloatArray:
-        table = pq.ParquetFile(pa.BufferReader(self.folder.read(PRIOR_FILE))).read(list(STRESSES))
-        return np.column_stack([table[name].to_numpy() for name in STRESSES]).astype(np.float64)
+        table = read_table(self.folder, [PRIOR_FILE], dict.fromkeys(STRESSES, "amount"))
+        if len(table) != N_PRIOR_DRAW or table.isna().to_numpy().any():
+            raise InputError(
+                f"File {str(self.folder.path / PRIOR_FILE)!r} does not hold {N_PRIOR_DRAW} draws; {ADVICE}."
+            )
+        return table.to_numpy(dtype=np.float64)
 
     def campaign_prior(self) -> Prior | None:
         here = campaign_stage.PRIOR_FILE in self.folder.names()
@@ -231,13 +223,13 @@ class _InFolder:
 
 def _only_of(plan: Plan, folder: ResultFolder) -> None:
     """Remove the parts of other data, of fewer files, and say whose parts come now."""
-    mark = {"key": plan.key, "layout": LAYOUT}
-    if not folder.damage(PLAN_FILE) and json.loads(folder.read(PLAN_FILE)) == mark:
+    content = (json.dumps({"key": plan.key, "layout": LAYOUT}) + "\n").encode("ascii")
+    if not folder.damage(PLAN_FILE) and folder.read(PLAN_FILE) == content:
         return
     parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
     for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
-    folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
+    folder.write_bytes(PLAN_FILE, content)
 
 
 def _names(plan: Plan, part: Part) -> list[str]:

@@ -18,7 +18,8 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, check_noise_dims, mean_of_used
+from bayes_rs.records.layout import check_layout
+from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, mean_of_used
 
 LEAST_NOISE = 0.5
 """Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
@@ -109,16 +110,7 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
     """Check the records and return the scan with only the beams that they hold."""
-    for name, dims in (
-        ("variance", ("record", "beam")),
-        ("flag", ("record", "beam")),
-        ("wind_speed", ("record",)),
-        ("yaw", ("record",)),
-    ):
-        if name not in records or records[name].dims != dims:
-            raise InputError(f"The records have no {name} with dims {dims}: make them with bayes_rs.make_records.")
-    if records.sizes["record"] == 0:
-        raise InputError("There is no record: the series is shorter than one averaging period.")
+    check_layout(records, "variance", "flag", "wind_speed", "yaw")
     return scan.select(records["beam"].values)
 
 
@@ -126,7 +118,6 @@ def _own_noise(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray:
     """Return the instrument's noise that the records hold, shape (n_record, n_beam), m² s⁻²; 0 if they hold none."""
     if "instrument_noise" not in records:
         return np.zeros(used.shape)
-    check_noise_dims(records, "instrument_noise")
     own = np.asarray(records["instrument_noise"].values, dtype=np.float64)
     bad = np.argwhere(used & ~(np.isfinite(own) & (own >= 0.0)))
     if len(bad):
@@ -142,7 +133,6 @@ def _own_noise_sd(records: xr.Dataset, used: NDArray[np.bool_]) -> FloatArray | 
     """Return how uncertain the instrument's noise is that records hold, over the variances; None if they do not say."""
     if "instrument_noise_sd" not in records:
         return None
-    check_noise_dims(records, "instrument_noise_sd")
     sd = np.asarray(records["instrument_noise_sd"].values, dtype=np.float64)
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     told = used & np.isfinite(sd) & (sd > 0.0)
@@ -171,7 +161,7 @@ def _with_wind(records: xr.Dataset) -> NDArray[np.bool_]:
 
 def _own_yaw_sd(records: xr.Dataset, fitted: NDArray[np.int64], missing_deg: float | None) -> FloatArray:
     """Return how uncertain the records say that their directions are, shape (n_record,), degrees."""
-    if "yaw_sd" not in records or records["yaw_sd"].dims != ("record",):
+    if "yaw_sd" not in records:
         raise InputError(
             "The records have no yaw_sd with dims ('record',): add it with mean_wind(records, scan, turbulence=...), "
             "or give a number as yaw_sd_deg."

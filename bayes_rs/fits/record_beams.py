@@ -136,7 +136,7 @@ class _Data:
         self.scan, self.noise, self.batch, self.options = scan, noise, batch, options
         self.place = gradient_columns(noise.scan_geometry)
         self.mean = self.mean_used = None
-        if "mean" not in records or records["mean"].dims != ("record", "beam"):
+        if "mean" not in records:
             return
         self.mean = np.asarray(records["mean"].values, dtype=np.float64)
         slow = (batch.wind_speed < _SLOWEST) | (batch.wind_speed > _FASTEST)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -13,6 +12,7 @@ from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import ON_BAD_FILE, FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, prior_file
+from bayes_rs.layouts import Open, read_json
 from bayes_rs.options import (
     about_option,
     check_plain,
@@ -390,15 +390,20 @@ def _with_prior_file(plain: Mapping[str, Any], folder: Path) -> Mapping[str, Any
     return {**plain, "fit": {**plain["fit"], "prior": f"campaign:{(folder / file).absolute()}"}}
 
 
+class _RunToRepeat(Open):
+    settings: dict[str, dict[str, Any]]
+    scan: str
+    scan_toml: str
+
+
 def _of_run(file: Path) -> dict[str, Any]:
     """Return the settings that a `run.json` holds, such that they repeat the run from its own folder."""
     try:
-        run = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = file.read_bytes()
+    except OSError as error:
         raise InputError(f"File {str(file)!r} cannot be read as the run.json of a run: {error}.") from error
-    if not isinstance(run, dict) or not isinstance(run.get("settings"), dict):
-        raise InputError(f"File {str(file)!r} is not the run.json of a fit: it has no settings.")
-    plain = {name: dict(values) for name, values in run["settings"].items() if isinstance(values, Mapping)}
+    run = read_json(_RunToRepeat, content, what=f"File {str(file)!r}", advice="give the run.json of a fit")
+    plain = {name: dict(values) for name, values in run["settings"].items()}
     if plain.get("fit", {}).get("prior", "") is None:
         raise InputError(
             f"The run of {str(file)!r} had a prior that is an object of Python ({run.get('prior')}), so it cannot be "

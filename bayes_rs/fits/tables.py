@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -11,8 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from bayes_rs.errors import InputError
+from bayes_rs.layouts import check_table
+from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.result_folder import ResultFolder
 
+ADVICE = "resume the fit to make it again, or, if its list of files knows it so, begin anew with overwrite"
+"""What to do with a file of a fit that cannot be used."""
 MONTH = "month="
 """Begins the name of a folder with the records of one month, as Hive has it."""
 
@@ -23,7 +29,7 @@ def part_names(folder: ResultFolder, dataset: str) -> list[str]:
     return sorted(found, key=lambda name: name.split("/")[::-1])
 
 
-def read_table(folder: ResultFolder, names: Iterable[str], columns: Sequence[str] | None = None) -> pd.DataFrame:
+def read_table(folder: ResultFolder, names: Iterable[str], layout: Mapping[str, str]) -> pd.DataFrame:
     """Read Parquet files of a folder as one table.
 
     Parameters
@@ -32,8 +38,8 @@ def read_table(folder: ResultFolder, names: Iterable[str], columns: Sequence[str
         The folder.
     names : iterable of str
         Its files, at least one.
-    columns : sequence of str, optional
-        Columns to read; by default all.
+    layout : mapping of str to str
+        Columns to read, and what they hold.
 
     Returns
     -------
@@ -43,15 +49,26 @@ def read_table(folder: ResultFolder, names: Iterable[str], columns: Sequence[str
     Raises
     ------
     InputError
-        If a file is not what was written.
+        If a file is not what was written, or not laid out so.
 
     Notes
     -----
     The bytes that are compared with the fingerprint are those that are read.
     """
-    wanted = None if columns is None else list(columns)
-    tables = [pq.ParquetFile(pa.BufferReader(folder.read(name))).read(wanted) for name in names]
-    return cast("pd.DataFrame", pa.concat_tables(tables).to_pandas())
+    frames = [_read_part(folder.read(name), folder.path / name, layout) for name in names]
+    return pd.concat(frames, ignore_index=True) if len(frames) > 1 else frames[0]
+
+
+def _read_part(content: bytes, file: Path, layout: Mapping[str, str]) -> pd.DataFrame:
+    what = f"File {str(file)!r}"
+    try:
+        table = pq.ParquetFile(pa.BufferReader(content)).read(list(layout))
+        check_table(table, layout, what=what, advice=ADVICE)
+        return cast("pd.DataFrame", table.select(list(layout)).to_pandas(ignore_metadata=True))
+    except InputError:
+        raise
+    except (*UNREADABLE, pa.ArrowException) as error:
+        raise InputError(f"{what} cannot be read as Parquet: {str(error).splitlines()[0][:200]}; {ADVICE}.") from error
 
 
 def names_of_part(dataset: str, index: int, time: NDArray[np.datetime64]) -> list[tuple[str, NDArray[np.bool_]]]:

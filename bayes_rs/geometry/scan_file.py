@@ -17,9 +17,10 @@ from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_changes import split_changes
+from bayes_rs.layouts import first_fault, shown
 from bayes_rs.models import find_model
 from bayes_rs.options import from_plain, nearest, options_of, to_plain
-from bayes_rs.toml_file import Size, Table, Text, first_fault, invalid_file, read_toml, shown
+from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml
 
 MOST_BEAMS = 10_000
 """Beams of a scan, all planes together: the covariance of their noise has as many rows, and fills 0.8 GB."""

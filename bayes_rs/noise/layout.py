@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from pydantic import Json
 
-from bayes_rs._validation import FloatArray, check_positive
+from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.layouts import Entry, Finite, Open, Positive, check_dataset, read_json
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -30,6 +32,42 @@ _ARRAYS = {
     "sonic_beam_covariance": ("state", "stress", "beam"),
 }
 _UNITS = {"units": "1"}
+_MOST = 1e6  # of relative numbers, which in any air are about 1
+_LAYOUT = {
+    **{name: Entry(dims, unit="1", most=_MOST) for name, dims in _ARRAYS.items()},
+    "covariance_upper": Entry(("state", "beam_pair"), unit="1", most=_MOST),
+    "gain_change": Entry(_ARRAYS["gain"], unit="1", most=_MOST),
+    "n_realizations": Entry(("state",), most=float("inf")),
+    "method": Entry(("state",), "text"),
+    "details": Entry(("state",), "text"),
+    "beam": Entry(("beam",), "whole"),
+    "other_beam": Entry(("other_beam",), "whole"),
+    "stress": Entry(("stress",), "text", values=STRESSES),
+    "other_stress": Entry(("other_stress",), "text", values=STRESSES),
+    "wind_speed": Entry(("state",), unit="m s-1", positive=True),
+    "yaw": Entry(("state",), unit="rad"),
+    "length_scale": Entry(("state",), unit="m", positive=True),
+    "gamma": Entry(("state",), unit="1"),
+    "direction": Entry(("beam", "axis")),
+    "focus_distance": Entry(("beam",), unit="m"),
+    "beam_time": Entry(("beam",), unit="s"),
+}
+"""What a file of noise holds; variables of one state may lack its dimension, and those of the scan may have it."""
+_NEEDS = ("beam", "direction", "focus_distance", "beam_time", "wind_speed", "yaw", "bias", "method", "details")
+_ADVICE = "calibrate again"
+
+
+class _Attributes(Open):
+    scan: str
+    scan_duration: Positive
+    duration: Positive
+    dissipation: Positive
+    length_scale: Positive
+    gamma: Finite
+    turbulence: str
+    turbulence_source: str
+    details: Json[dict[str, Any]]
+    probe: Json[dict[str, Any]] | None = None
 
 
 def noise_dataset(noise: Mapping[str, Any], *, probe_change: FloatArray | None = None) -> xr.Dataset:
@@ -116,6 +154,21 @@ def noise_fields(dataset: xr.Dataset) -> dict[str, Any]:
     KeyError
         If something is missing.
     """
+    check_dataset(
+        dataset,
+        _LAYOUT,
+        what="Its arrays",
+        needs=(
+            *_NEEDS,
+            *(("covariance_upper", "gain_change") if "covariance_upper" in dataset else ("covariance", "gain")),
+        ),
+        attributes=_Attributes,
+        optional_dim="state",
+        advice=_ADVICE,
+    )
+    for name, own in (("other_beam", "beam"), ("other_stress", "stress")):
+        if name in dataset.coords and dataset[name].values.tolist() != dataset[own].values.tolist():
+            raise InputError(f"its {name} is not the same as its {own}: {_ADVICE}.")
     states = dataset if "state" in dataset.dims else dataset.expand_dims("state")
     attributes = states.attrs
     methods = {str(method) for method in states["method"].values}
@@ -135,7 +188,7 @@ def noise_fields(dataset: xr.Dataset) -> dict[str, Any]:
             "direction": _per_beam(states["direction"]).tolist(),
             "focus_distance": _per_beam(states["focus_distance"]).tolist(),
             "beam_time": _per_beam(states["beam_time"]).tolist(),
-            "scan_duration": check_positive(attributes["scan_duration"], what="scan_duration", unit="s"),
+            "scan_duration": float(attributes["scan_duration"]),
             **({"probe": json.loads(attributes["probe"])} if "probe" in attributes else {}),
         },
         "wind_speed": states["wind_speed"].values,
@@ -157,9 +210,7 @@ def noise_fields(dataset: xr.Dataset) -> dict[str, Any]:
 
 def _mapping(text: str) -> dict[str, Any]:
     """Return details from JSON; anything but a mapping is damage."""
-    found = json.loads(text)
-    if not isinstance(found, dict):
-        raise InputError(f"its details are {text[:40]!r}, and must be a mapping in JSON.")
+    found: dict[str, Any] = read_json(dict[str, Any], text, what="Its details", advice=_ADVICE)
     return found
 
 

@@ -145,6 +145,8 @@ class Table:
         wanted = list(dict.fromkeys(names[heading] for heading in headings))
         try:
             with pq.ParquetFile(self.file) as parquet:
+                for name in wanted:
+                    self._check_plain(parquet.schema_arrow.field(name))
                 if n_row is None:
                     parts: Iterable[pa.Table] = [parquet.read(columns=wanted)]
                 else:
@@ -152,8 +154,19 @@ class Table:
                 for part in parts:
                     frame = part.to_pandas(ignore_metadata=True)
                     yield frame.rename(columns=lambda heading: str(heading).strip())
+        except InputError:
+            raise
         except (*UNREADABLE, pa.ArrowException) as error:
             raise unreadable(self.file, error) from error
+
+    def _check_plain(self, column: pa.Field[Any]) -> None:
+        """Refuse a column whose entries are no single numbers, texts or times."""
+        kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+        if pa.types.is_nested(kind) or pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
+            raise InputError(
+                f"Column {column.name!r} of file {str(self.file)!r} holds {column.type}, and must hold one number, "
+                "text or time in each row: write it so."
+            )
 
 
 def open_table(file: Path, file_format: FileFormat, *, skip: int = 0) -> Table:

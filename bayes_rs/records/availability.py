@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.records.layout import check_layout
 
 
 def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFrame:
@@ -47,11 +48,7 @@ def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFram
     >>> table[["beam", "records", "usable", "samples", "availability"]].values.tolist()[:2]
     [[0.0, 6.0, 1.0, 3600.0, 1.0], [1.0, 6.0, 1.0, 3600.0, 1.0]]
     """
-    for name in ("count", "flag"):
-        if name not in records or records[name].dims != ("record", "beam"):
-            raise InputError(f"The records have no {name} with dims ('record', 'beam'): make them with make_records.")
-    if "time" not in records.coords or not np.issubdtype(records["time"].dtype, np.datetime64):
-        raise InputError("The records have no time: make them with make_records.")
+    check_layout(records, "count", "flag", "time")
     if "records_report" not in records.attrs:
         raise InputError("The records have no records_report, which says how many samples to expect: make them again.")
     try:

@@ -20,6 +20,8 @@ NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
 
 _ANGLES = ("yaw", "tilt", "roll", "yaw_sd")
+_OF_RECORD = ("wind_speed", *_ANGLES)
+"""What a record has one of: an infinite one is impossible; a beam's is left out as it is."""
 _WORDS = {
     "variance": "variances",
     "mean": "mean radial velocities",
@@ -87,7 +89,7 @@ def believed(records: xr.Dataset) -> xr.Dataset:
         if name not in records or records[name].dtype.kind not in "iuf":
             continue
         values = np.asarray(records[name].values, dtype=np.float64)
-        used = np.isfinite(values)
+        used = ~np.isnan(values) if name in _OF_RECORD else np.isfinite(values)
         if "flag" in records and records["flag"].dims == records[name].dims:
             used &= np.asarray(records["flag"].values == 0)
         bad = used & (np.abs(values) > most)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.records.layout import check_layout
 
 
 def check_are_records(records: xr.Dataset) -> None:
@@ -13,13 +14,14 @@ def check_are_records(records: xr.Dataset) -> None:
     Raises
     ------
     InputError
-        If it is no Dataset, or one of samples.
+        If it is no Dataset, or one of samples, or its variables are not laid out as those of records are.
     """
     if not isinstance(records, xr.Dataset):
         what = repr(records) if isinstance(records, str) else f"of type {type(records).__name__}"
         raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
+    check_layout(records, "variance", "beam")
 
 
 def check_is_series(series: xr.Dataset) -> None:

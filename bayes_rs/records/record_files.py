@@ -14,6 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
+from bayes_rs.records.layout import REPORT, check_layout
 
 
 def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None:
@@ -34,7 +35,8 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
     Raises
     ------
     InputError
-        If the records were made with another scan, or most of them hold what no atmosphere has.
+        If the records are not laid out as ours are, were made with another scan, or most of them hold what no
+        atmosphere has.
     """
     file = Path(path)
     if file.suffix not in (".nc", ".nc4") or not file.is_file():
@@ -43,8 +45,14 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
         dataset = load_netcdf(file)
     except InputError:
         return None  # the reader of radial velocities says what is wrong with it
-    if dataset.get("variance", xr.DataArray()).dims != ("record", "beam"):
+    if dataset.get("variance", xr.DataArray()).dims != ("record", "beam") and REPORT not in dataset.attrs:
         return None
+    check_layout(
+        dataset,
+        *("variance", "beam", "flag", "wind_speed", "yaw"),
+        what=f"The records in {str(file)!r}",
+        advice="make them anew with bayes-rs records, or correct the file",
+    )
     scan = as_scan(scan)
     key = dataset.attrs.get("scan_key", scan.key)
     if key != scan.key:

@@ -13,16 +13,18 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
 import xarray as xr
+from pydantic import ConfigDict, Field
 
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.layouts import Count, Entry, Open, check_dataset, read_json
 from bayes_rs.output import write_netcdf
 from bayes_rs.progress import progress_counter
 from bayes_rs.quality.rules import QualityRules
@@ -32,6 +34,7 @@ from bayes_rs.readers.folders import FoundFiles, find_files
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.streaming import stream
+from bayes_rs.records.layout import REPORT, check_layout
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
@@ -41,6 +44,10 @@ CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
 SAVE_SECONDS = 20.0
 """Reading that is lost at most, beside that of one file, when a run is interrupted."""
+_SAMPLE = ("sample",)
+_AGAIN = "the files are read again"
+_OF_PART = ("variance", "mean", "count", "flag", "wind_speed", "yaw", "record_flag", "time", "beam")
+"""Variables that every part of the records has."""
 _PEEK = 1000
 _HEAD = 65_536  # bytes
 _STATE = "records/state.npz"
@@ -387,7 +394,12 @@ def _part(index: int) -> str:
 
 
 def _open(folder: ResultFolder, index: int) -> xr.Dataset:
-    return load_netcdf(folder.checked(_part(index))).drop_encoding()
+    file = folder.checked(_part(index))
+    part, what = load_netcdf(file).drop_encoding(), f"The records in {str(file)!r}"
+    check_layout(part, *_OF_PART, what=what)
+    if REPORT not in part.attrs:
+        raise InputError(f"{what} have no {REPORT}.")
+    return part
 
 
 def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked: _Asked) -> _Progress:
@@ -410,6 +422,38 @@ def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked
     return done
 
 
+class _StateOfStream(Open):
+    attributes: dict[str, Any]
+    latest: int | None
+    latest_of_beam: list[Annotated[list[int], Field(min_length=2, max_length=2)]]
+    samples: Count
+    out_of_order: Count
+    late: Count
+    first_late: str
+    source_files: list[str]
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _WasRead(Open):
+    counts: dict[str, Count]
+    beams: list[int]
+    files: dict[str, dict[str, Any]]
+    out_of_order: str
+
+
+class _Meta(Open):
+    """What the state of reading holds beside its arrays."""
+
+    state: _StateOfStream
+    n_part: Count
+    files: dict[str, Annotated[list[int | str], Field(min_length=3, max_length=3)]]
+    bad: dict[str, str]
+    read: _WasRead | Annotated[dict[str, Any], Field(max_length=0)]
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
 def _load(folder: ResultFolder, say: Callable[[str], None]) -> _Progress:
     """Return what an interrupted run had done; nothing, if a file of it is gone or was changed."""
     if _STATE not in folder.names("records/"):
@@ -427,9 +471,13 @@ def _load(folder: ResultFolder, say: Callable[[str], None]) -> _Progress:
 def _progress(content: bytes) -> _Progress:
     """Return what a state file holds."""
     with np.load(io.BytesIO(content)) as found:
-        meta = json.loads(str(found["meta"]))
+        meta = read_json(_Meta, str(found["meta"]), what=f"File {_STATE}", advice=_AGAIN)
         columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
         beam_time = {"time": found["time"], "beam": found["beam"]}
+    layout = {"time": Entry(_SAMPLE, "whole"), "beam": Entry(_SAMPLE, "whole")}
+    layout |= {name: Entry(_SAMPLE) for name in columns}
+    entries = {name: (_SAMPLE, values) for name, values in {**columns, **beam_time}.items()}
+    check_dataset(xr.Dataset(entries), layout, what=f"The arrays of {_STATE}", advice=_AGAIN)
     state = meta.pop("state")
     state["latest_of_beam"] = {int(beam): int(latest) for beam, latest in state["latest_of_beam"]}
     state["source_files"] = tuple(state["source_files"])

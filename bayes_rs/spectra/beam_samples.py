@@ -14,6 +14,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality.filtering import apply_filters
 from bayes_rs.quality.rules import QualityRules
+from bayes_rs.records.layout import check_layout
 from bayes_rs.records.record_samples import sort_samples
 
 LARGEST_SPREAD = 0.25
@@ -113,11 +114,7 @@ def _interval(since: FloatArray, edges: NDArray[np.int64], near: float) -> float
 
 def _checked(scan: Scan, records: xr.Dataset) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Check the records; return their beams and starts, ns."""
-    for name in ("variance", "flag"):
-        if name not in records or records[name].dims != ("record", "beam"):
-            raise InputError(
-                f"The records have no {name} with dims ('record', 'beam'): make them with bayes_rs.make_records."
-            )
+    check_layout(records, "variance", "flag")
     if not {"duration", "records_report"} <= set(records.attrs) or "time" not in records.coords:
         raise InputError("The records do not say how they were made: make them with bayes_rs.make_records.")
     beams = np.asarray(records["beam"].values, dtype=np.int64)

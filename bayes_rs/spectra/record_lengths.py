@@ -290,7 +290,7 @@ def _ends(median: float, log_sd: float) -> tuple[float, float]:
 def _octaves(records: xr.Dataset, scan: Scan, gamma: float) -> tuple[NDArray[np.int64], Octaves | None]:
     """Return which records' octaves are looked at, and these; None where nothing is told."""
     nothing: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-    if OCTAVES not in records or records[OCTAVES].dims != ("record", "beam", "octave") or "count" not in records:
+    if OCTAVES not in records or "count" not in records:
         return nothing, None
     used = np.asarray(records["flag"].values == 0)
     speed, yaw = (np.asarray(records[name].values, dtype=np.float64) for name in ("wind_speed", "yaw"))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError
 from bayes_rs.spectra.octave_likelihood import Octaves, averaged
 from bayes_rs.spectra.octave_theory import length_nodes
 from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, TELLS, PooledNoise, pool_noise
@@ -33,17 +32,7 @@ def known_noise(records: xr.Dataset, instrument_noise: float | str) -> FloatArra
         return np.full(records.sizes["record"], float(instrument_noise))
     if NOISE not in records:
         return None
-    check_noise_dims(records, NOISE)
     return mean_of_used(records, NOISE)
-
-
-def check_noise_dims(records: xr.Dataset, name: str) -> None:
-    """Refuse the instrument's noise of records, or its standard deviation, if it is not one of records and beams."""
-    if records[name].dims != ("record", "beam"):
-        raise InputError(
-            f"Invalid {name} of the records, with dims {records[name].dims}: they must be ('record', 'beam'), as "
-            "with_instrument_noise makes it; or give a number as instrument_noise."
-        )
 
 
 def mean_of_used(records: xr.Dataset, name: str) -> FloatArray:

@@ -10,9 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
-from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.records.layout import check_layout
 from bayes_rs.theory.pairs import distinct_pairs
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.theory.sampling_times import sample_counts
@@ -191,9 +191,7 @@ def check_records(records: xr.Dataset, scan: Scan) -> Scan:
     InputError
         If a variable is missing, or a beam is not the scan's.
     """
-    for name, dims in (("mean", ("record", "beam")), ("variance", ("record", "beam")), ("flag", ("record", "beam"))):
-        if name not in records or records[name].dims != dims:
-            raise InputError(f"The records have no {name} with dims {dims}: make them with bayes_rs.make_records.")
+    check_layout(records, "mean", "variance", "flag")
     return scan.select(records["beam"].values)
 
 
