@@ -37,6 +37,7 @@ from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.registry import Prior
+from bayes_rs.processor import note_processor, processor_kind
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_check import check_netcdf
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
@@ -91,7 +92,7 @@ def fit_into(
         If a part cannot be written, as on a full disk.
     """
     began = time.perf_counter()
-    _only_of(plan, folder)
+    kinds = _only_of(plan, folder)
     run = {**plan.run, **(more or {})}
     given_prior = plan.shared.options.made_prior
     if isinstance(given_prior, CampaignPrior) and run["settings"]["fit"]["prior"] is not None:
@@ -102,6 +103,8 @@ def fit_into(
     n_resumed = n_done = plan.n_record - sum(len(part.batch) for part in left)
     silent = None if progress is None else not progress
     of_index = {part.index: part for part in left}
+    if left:
+        _note(kinds, processor_kind(), plan, folder)
     try:
         if folder.damage(PRIOR_FILE):
             write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
@@ -116,6 +119,7 @@ def fit_into(
             closing(done_parts(fit_part, plan.shared, left, workers, client)) as finished,
         ):
             for done in finished:
+                _note(kinds, done.processor, plan, folder)
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
@@ -139,7 +143,7 @@ def fit_into(
         folder.check_whole()  # a part that went while the others were made is named as lost
         raise
     seconds = {**run.get("seconds", {}), "fitting": round(time.perf_counter() - began, 3)}
-    folder.finish({**run, **counts, "seconds": seconds})
+    folder.finish({**run, **counts, "processors": kinds, "seconds": seconds})
 
 
 def open_fit(folder: str | Path) -> Fit:
@@ -235,15 +239,28 @@ class _InFolder:
         return load_campaign_prior(self.folder.checked(campaign_stage.PRIOR_FILE)) if here else None
 
 
-def _only_of(plan: Plan, folder: ResultFolder) -> None:
-    """Remove the parts of other data, of fewer files, and say whose parts come now."""
-    mark = {"key": plan.key, "layout": LAYOUT}
-    if not folder.damage(PLAN_FILE) and json.loads(folder.read(PLAN_FILE)) == mark:
-        return
+def _only_of(plan: Plan, folder: ResultFolder) -> list[str]:
+    """Remove the parts of other data, of fewer files, and say whose come now; return which processors made them."""
+    if not folder.damage(PLAN_FILE):
+        found = json.loads(folder.read(PLAN_FILE))
+        if (found.get("key"), found.get("layout")) == (plan.key, LAYOUT):
+            return [str(kind) for kind in found.get("processors", [])]
     parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
     for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
+    _mark(plan, folder, [])
+    return []
+
+
+def _mark(plan: Plan, folder: ResultFolder, kinds: list[str]) -> None:
+    mark = {"key": plan.key, "layout": LAYOUT, "processors": kinds}
     folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
+
+
+def _note(kinds: list[str], kind: str, plan: Plan, folder: ResultFolder) -> None:
+    """Note the kind of processor that numbers in the folder come from, before they are there."""
+    if note_processor(kinds, kind):
+        _mark(plan, folder, kinds)
 
 
 def _names(plan: Plan, part: Part) -> list[str]:
