@@ -66,8 +66,8 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     First the records of all files are made, piece by piece, with memory that does not grow with the files; then the
     noise for their wind speeds and directions; then they are fitted. A file that cannot be read, or that holds anything
     that cannot be used, ends the run; with ``on_bad_file="skip"`` nothing of it counts, and it is named at the end. All
-    results are the same however often the run was interrupted, bit by bit on processors of one kind. A run that is resumed with more files than before reads
-    those that came since, and fits all records again.
+    results are the same however often the run was interrupted, bit by bit on processors of one kind. A run that is
+    resumed with more files than before reads those that came since, and fits all records again.
 
     Examples
     --------
