@@ -98,6 +98,41 @@ def moments(n, longest, *, seed):
     return sorted(np.random.default_rng(seed).uniform(0.3, longest, n).tolist())
 
 
+AT_IMPORT = """
+import os, signal, sys
+from bayes_rs.__main__ import main
+left = int(sys.argv.pop(1))
+def count(event, _):
+    global left
+    left -= event == "import"
+    if left == 0 and event == "import":
+        os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(count)
+main()
+"""
+"""The command, which interrupts itself at the n-th import: a moment that no load of the machine moves."""
+
+
+class TestFirstSeconds:
+    @pytest.mark.parametrize(
+        "n_import",
+        [1, 30, 300, 700, *(pytest.param(n, marks=pytest.mark.long) for n in range(75, 1500, 50))],
+    )
+    def test_an_interrupt_while_modules_are_loaded(self, tmp_path, n_import):
+        """A Python that ran a text as code when it was interrupted ends by the signal; a shell says 130 of both."""
+        process = start(n_import, *FIT, "-o", "out", folder=tmp_path, own=AT_IMPORT)
+        _, errors = process.communicate()
+        assert errors.split("\n") == ["", "bayes-rs: interrupted.", ""]
+        assert process.returncode in (130, -signal.SIGINT)
+        assert not (tmp_path / "out").exists()
+
+    def test_where_interrupts_are_ignored_they_stay_so(self, tmp_path):
+        """A shell has the programs in its background ignore them."""
+        ignoring = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{AT_IMPORT}"
+        code, errors = run(30, "scans", folder=tmp_path, own=ignoring)
+        assert (code, errors) == (0, "")
+
+
 class TestFiles:
     @pytest.mark.parametrize(
         ("command", "load"),
