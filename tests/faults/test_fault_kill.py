@@ -26,12 +26,13 @@ SMALL_PARTS = """
 import signal
 from bayes_rs import __main__ as command
 before = signal.signal(signal.SIGINT, command._stop)
+open("begun", "w").close()
 from bayes_rs.fits import plan
 plan.PART_RECORDS = 5
 signal.signal(signal.SIGINT, before)
 command.main()
 """
-"""The command, with parts so small that a small fit has many moments."""
+"""The command, with parts so small that a small fit has many moments. Before it has begun, Python itself is loaded."""
 N_FILE = 16
 """Files of the parts of that fit."""
 OF_RECORDS = (
@@ -82,9 +83,11 @@ def send(process, who, name):
 
 
 def when_there_are(n_file, folder, process, *, then):
-    """Wait until a folder has so many files of parts, and a moment longer."""
-    while process.poll() is None and len(list(folder.rglob("part-*.parquet"))) < n_file:
+    """Wait until the command has begun and its folder has so many files of parts, and a moment longer."""
+    begun = folder.with_name("begun")
+    while process.poll() is None and not (begun.exists() and len(list(folder.rglob("part-*.parquet"))) >= n_file):
         time.sleep(0.01)
+    begun.unlink(missing_ok=True)
     time.sleep(then)
 
 
@@ -192,6 +195,7 @@ class TestFolders:
         NOISE.save(tmp_path / "noise.nc")
         fit = ("fit", "records.nc", *OF_RECORDS)
         assert run(*fit, "-o", "whole", folder=tmp_path, own=SMALL_PARTS)[0] == 0
+        (tmp_path / "begun").unlink()
         whole = files_of(tmp_path / "whole")
         rng = np.random.default_rng(len(kills))
         out = tmp_path / "out"
