@@ -248,8 +248,9 @@ def _only_of(plan: Plan, folder: ResultFolder) -> list[str]:
     parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
     for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
-    _mark(plan, folder, [])
-    return []
+    kinds = [processor_kind()]
+    _mark(plan, folder, kinds)
+    return kinds
 
 
 def _mark(plan: Plan, folder: ResultFolder, kinds: list[str]) -> None:
