@@ -261,12 +261,21 @@ def _beam_numbers(value: object, *, what: str) -> dict[str, int]:
 
 
 def _time_format(value: object, *, what: str) -> str:
-    if isinstance(value, str) and (value in TIME_FORMATS or "%" in value):
+    if not isinstance(value, str) or (value not in TIME_FORMATS and "%" not in value):
+        raise InputError(
+            f"Unknown {what} {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
+            "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
+        )
+    if value in TIME_FORMATS:
         return value
-    raise InputError(
-        f"Unknown {what} {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
-        "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
-    )
+    from bayes_rs.stated_time import states_a_date  # noqa: PLC0415 - pandas is slow to load
+
+    if not states_a_date(value):
+        raise InputError(
+            f"Invalid {what} {value!r}: it must be a pattern that can be read and states year, month and day, such as "
+            "'%d.%m.%Y %H:%M:%S'; join the date and the time of day in one column, if the files have two."
+        )
+    return value
 
 
 def _separator(value: object, *, what: str) -> str:

@@ -38,7 +38,7 @@ def progress(
     >>> list(progress([1, 2, 3], 3, "counting", disable=True))
     [1, 2, 3]
     """
-    silent = not sys.stderr.isatty() if disable is None else disable
+    silent = _no_terminal() if disable is None else disable
     yield from tqdm(iterable, total=total, desc=description, disable=silent, file=sys.stderr, leave=False)
 
 
@@ -68,7 +68,7 @@ def progress_counter(
     bar
         Its ``update(n)`` says that n more are done.
     """
-    silent = not sys.stderr.isatty() if disable is None else disable
+    silent = _no_terminal() if disable is None else disable
     with tqdm(
         total=total,
         initial=initial,
@@ -80,3 +80,8 @@ def progress_counter(
         leave=False,
     ) as bar:
         yield bar
+
+
+def _no_terminal() -> bool:
+    """Say whether nobody looks at stderr, which is None where a program was started without one."""
+    return sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()

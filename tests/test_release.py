@@ -107,7 +107,7 @@ class TestContent:
 
     def test_the_command_is_the_entry_point(self):
         (entry,) = [entry for entry in installed().entry_points if entry.group == "console_scripts"]
-        assert (entry.name, entry.value) == ("bayes-rs", "bayes_rs.cli:main")
+        assert (entry.name, entry.value) == ("bayes-rs", "bayes_rs.__main__:main")
         code = (
             "import importlib.metadata as m; [e] = m.entry_points(group='console_scripts', name='bayes-rs'); e.load()()"
         )

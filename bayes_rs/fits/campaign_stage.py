@@ -142,7 +142,7 @@ def _write(folder: ResultFolder, learnt: CampaignDone) -> None:
 def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray, crew: Crew) -> CampaignDone:
     job = job_of(plan.parts, chosen, mean)
     with progress_counter(1, "learning the campaign", " campaign", disable=crew.silent):
-        # with one thread, as the parts: the same numbers everywhere
+        # with one thread, as the parts: the same numbers whatever the cores
         (done,) = run_serial(learn_campaign, plan.shared, [job])
     return done
 

@@ -19,6 +19,7 @@ from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
 from bayes_rs.fits.words import record_name
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.stated_time import stated_times
 
 _BATCH = 128
 """Records whose draws are held at a time."""
@@ -302,12 +303,10 @@ class FitData:
         return [record_name(number, time) for number, time in enumerate(self.time)]
 
     def _at(self, record: str) -> int:
-        try:
-            stamp = pd.Timestamp(record)
-            wanted = (stamp.tz_convert("UTC").tz_localize(None) if stamp.tz else stamp).to_datetime64()
-        except ValueError as error:
-            raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.") from error
-        match = np.flatnonzero(self.time == wanted)
+        stamp = stated_times(pd.Series([record])).dt.tz_localize(None)[0]
+        if pd.isna(stamp):
+            raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.")
+        match = np.flatnonzero(self.time == stamp.to_datetime64())
         if len(match) == 0:
             first, last = (str(time)[:19] for time in self.time[[0, -1]])
             raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC).")

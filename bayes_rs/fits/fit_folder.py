@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,11 +30,13 @@ from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.layouts import Open, read_json
 from bayes_rs.ledger import LEDGER
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.priors.registry import Prior
+from bayes_rs.processor import note_processor, processor_kind
 from bayes_rs.progress import progress_counter
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.layout import check_layout
@@ -88,7 +90,7 @@ def fit_into(
         If a part cannot be written, as on a full disk.
     """
     began = time.perf_counter()
-    _only_of(plan, folder)
+    kinds = _only_of(plan, folder)
     run = {**plan.run, **(more or {})}
     given_prior = plan.shared.options.made_prior
     if isinstance(given_prior, CampaignPrior) and run["settings"]["fit"]["prior"] is not None:
@@ -99,6 +101,8 @@ def fit_into(
     n_resumed = n_done = plan.n_record - sum(len(part.batch) for part in left)
     silent = None if progress is None else not progress
     of_index = {part.index: part for part in left}
+    if left:
+        _note(kinds, processor_kind(), plan, folder)
     try:
         if folder.damage(PRIOR_FILE):
             write_table(folder, PRIOR_FILE, pd.DataFrame(plan.prior_draws, columns=list(STRESSES)))
@@ -113,6 +117,7 @@ def fit_into(
             closing(done_parts(fit_part, plan.shared, left, workers, client)) as finished,
         ):
             for done in finished:
+                _note(kinds, done.processor, plan, folder)
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
@@ -136,7 +141,7 @@ def fit_into(
         folder.check_whole()  # a part that went while the others were made is named as lost
         raise
     seconds = {**run.get("seconds", {}), "fitting": round(time.perf_counter() - began, 3)}
-    folder.finish({**run, **counts, "seconds": seconds})
+    folder.finish({**run, **counts, "processors": kinds, "seconds": seconds})
 
 
 def open_fit(folder: str | Path) -> Fit:
@@ -188,6 +193,14 @@ def _fit_in(folder: ResultFolder, run: Mapping[str, Any], scan: Scan, place: str
     return Fit(run, scan, tables, _InFolder(folder, tables), place)
 
 
+class _Mark(Open):
+    """What says whose parts are in a folder."""
+
+    key: str
+    layout: int
+    processors: list[str]
+
+
 @dataclass(frozen=True)
 class _InFolder:
     """The records and the prior's draws of a fit in a folder."""
@@ -221,15 +234,32 @@ class _InFolder:
         return load_campaign_prior(self.folder.checked(campaign_stage.PRIOR_FILE)) if here else None
 
 
-def _only_of(plan: Plan, folder: ResultFolder) -> None:
-    """Remove the parts of other data, of fewer files, and say whose parts come now."""
-    content = (json.dumps({"key": plan.key, "layout": LAYOUT}) + "\n").encode("ascii")
-    if not folder.damage(PLAN_FILE) and folder.read(PLAN_FILE) == content:
-        return
+def _only_of(plan: Plan, folder: ResultFolder) -> list[str]:
+    """Remove the parts of other data, of fewer files, and say whose come now; return which processors made them."""
+    if not folder.damage(PLAN_FILE):
+        with suppress(InputError):  # whose it is cannot be told: all is made again
+            mark = read_json(
+                _Mark, folder.read(PLAN_FILE), what=f"File {str(folder.path / PLAN_FILE)!r}", advice=ADVICE
+            )
+            if (mark["key"], mark["layout"]) == (plan.key, LAYOUT):
+                return list(mark["processors"])
     parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
     for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)
-    folder.write_bytes(PLAN_FILE, content)
+    kinds = [processor_kind()]
+    _mark(plan, folder, kinds)
+    return kinds
+
+
+def _mark(plan: Plan, folder: ResultFolder, kinds: list[str]) -> None:
+    mark = {"key": plan.key, "layout": LAYOUT, "processors": kinds}
+    folder.write_text(PLAN_FILE, json.dumps(mark) + "\n")
+
+
+def _note(kinds: list[str], kind: str, plan: Plan, folder: ResultFolder) -> None:
+    """Note the kind of processor that numbers in the folder come from, before they are there."""
+    if note_processor(kinds, kind):
+        _mark(plan, folder, kinds)
 
 
 def _names(plan: Plan, part: Part) -> list[str]:

@@ -15,13 +15,14 @@ from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
-from bayes_rs.fits.noise_choice import given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import fit_inputs, given_noise, noise_and_records
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
+from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.records.record_files import open_record_files
@@ -65,8 +66,8 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     First the records of all files are made, piece by piece, with memory that does not grow with the files; then the
     noise for their wind speeds and directions; then they are fitted. A file that cannot be read, or that holds anything
     that cannot be used, ends the run; with ``on_bad_file="skip"`` nothing of it counts, and it is named at the end. All
-    results are the same however often the run was interrupted. A run that is resumed with more files than before reads
-    those that came since, and fits all records again.
+    results are the same however often the run was interrupted, bit by bit on processors of one kind. A run that is
+    resumed with more files than before reads those that came since, and fits all records again.
 
     Examples
     --------
@@ -109,8 +110,11 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
             say(line)
         records = add_motion(records, scan, settings.records, settings.files)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
-        found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
-        plan = with_settings(plan_fit(records, scan, found, options), **_other_sections(settings, noise))
+        inputs = fit_inputs(records, noise, settings.noise)
+        with one_thread():
+            found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
+            plan = plan_fit(records, scan, found, options, inputs=inputs)
+        plan = with_settings(plan, **_other_sections(settings, noise))
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
     return open_fit(settings.output.output)
 

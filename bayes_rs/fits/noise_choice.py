@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,7 @@ from bayes_rs.fits.uncertain_length import length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
+from bayes_rs.options import to_plain
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.quality.samples import BoolArray
 from bayes_rs.wind.mean_vector import mean_wind
@@ -37,6 +38,8 @@ _OF_SPECTRA = (
     "spectral_length_scale_log_sd",
     "other_length_scale",
 )
+_SAID = ("duration", "velocity_limit", LENGTH_REPORT, "instrument_noise_report")
+"""Attributes of records that numbers depend on."""
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
 
@@ -48,6 +51,20 @@ def given_noise(noise: Noise | str | Path | None) -> Noise | None:
     from bayes_rs.noise.file import as_noise  # noqa: PLC0415 - not needed without a file
 
     return as_noise(noise)
+
+
+def fit_inputs(records: xr.Dataset, noise: Noise | None, choice: NoiseOptions) -> dict[str, Any]:
+    """Return the records and the noise, or how it is made, as they were given: what tells fits apart.
+
+    Nothing that is calculated of them is here: its last bits are those of one kind of processor.
+    """
+    from bayes_rs.noise.at_states import NOISE_VERSION  # noqa: PLC0415 - not needed with given noise
+    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
+
+    variables = {str(name): [list(data.dims), data.values] for name, data in records.variables.items()}
+    said = {name: records.attrs[name] for name in _SAID if name in records.attrs}
+    made = [NOISE_VERSION, to_plain(choice), load_turbulence(choice.flow)] if noise is None else noise
+    return {"noise": made, "records": [variables, said]}
 
 
 def noise_and_records(

@@ -25,6 +25,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
+from bayes_rs.processor import processor_kind
 
 _log = logging.getLogger(__name__)
 FAILED = (NotPositiveDefiniteError, np.linalg.LinAlgError, FloatingPointError)
@@ -83,10 +84,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Done:
-    """The tables of one part: ``summary``, ``posterior`` and, where draws are kept, ``draws`` and ``predicted``."""
+    """The tables of one part, ``summary``, ``posterior`` and, where draws are kept, ``draws`` and ``predicted``; and
+    the kind of processor that made them.
+    """
 
     index: int
     tables: dict[str, pd.DataFrame]
+    processor: str = field(default_factory=processor_kind)
 
 
 def n_kept(options: FitOptions) -> int:

@@ -90,8 +90,10 @@ class Plan:
         return ("summary", "posterior", *(("draws", "predicted") if self.shared.keep_draws else ()))
 
 
-def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) -> Plan:
+def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions, *, inputs: Mapping[str, Any]) -> Plan:
     """Check that records, scan and noise belong together, and cut the records into parts.
+
+    `inputs` is what the records and the noise were made of, by name: it tells the fit from others.
 
     Raises
     ------
@@ -103,12 +105,10 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions)
     scan, noise, batch = prepare(records, scan, noise, options)
     beams = record_beams(records, scan, noise, batch, options)
     parts = _parts(records, batch, beams)
-    described = [(part.record, part.time, part.flag) for part in parts]
     key_parts = digest_parts(
         **version_parts(),
         scan=scan.key,
-        noise=noise,
-        records=[batch, described],
+        **inputs,
         part_records=PART_RECORDS,
         **option_parts(options),
     )

@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from loky import ProcessPoolExecutor
-from threadpoolctl import threadpool_limits
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError, MissingExtraError, WorkerError
+from bayes_rs.processor import one_thread
 
 _Part = TypeVar("_Part")
 _Done = TypeVar("_Done")
@@ -278,5 +278,5 @@ def _work(work: Callable[[Any, _Part], _Done], part: _Part) -> _Done:
 
 def _limited(work: Callable[[Any, _Part], _Done], shared: Any, part: _Part) -> _Done:
     # workers share the cores: more threads in each only get in the others' way; and no number depends on how many
-    with threadpool_limits(1):
+    with one_thread():
         return work(shared, part)

@@ -14,6 +14,7 @@ from bayes_rs.noise.box_noise import DEFAULT_SEED, Boxes, box_ingredients, noise
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import cache_folder, find_shipped_noise, from_cache, renamed, to_cache, with_details
+from bayes_rs.processor import one_thread, processor_kind
 from bayes_rs.progress import progress as progress_bar
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -75,9 +76,10 @@ def noise_at_states(
             return Noise.join(enough)
 
     def make() -> Noise:
-        if boxes is None:
-            return Noise.join(theory_at_states(states, turbulence, sonic=sonic, progress=progress))
-        return Noise.join(noise_from_boxes(states, turbulence, boxes.n_boxes, boxes.seed, progress))
+        with one_thread():
+            if boxes is None:
+                return Noise.join(theory_at_states(states, turbulence, sonic=sonic, progress=progress))
+            return Noise.join(noise_from_boxes(states, turbulence, boxes.n_boxes, boxes.seed, progress))
 
     if cache is False or by_chance:
         return with_details(make(), origin="calculated")
@@ -145,6 +147,7 @@ def noise_key(
     """
     everything = {
         "noise_version": NOISE_VERSION,
+        "processor": processor_kind(),
         "method": "theory" if boxes is None else "boxes",
         "states": [
             [state.scan.geometry(), round(state.wind_speed, 9), round(state.yaw, 9), round(state.duration, 9)]

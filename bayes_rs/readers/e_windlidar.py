@@ -21,6 +21,7 @@ from bayes_rs.readers.netcdf_file import open_netcdf
 from bayes_rs.readers.ray_variables import decode_times, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
+from bayes_rs.stated_time import stated_times
 
 NAMES = {
     "radial_velocity": "VEL",
@@ -139,7 +140,7 @@ def _times(dataset: xr.Dataset, name: str, file: Path) -> NDArray[np.datetime64]
 
 def _times_from_text(variable: xr.Variable, name: str, file: Path) -> NDArray[np.datetime64]:
     text = pd.Series([_as_text(entry) for entry in variable.values.ravel()], dtype="string").str.strip("\0 ")
-    parsed = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+    parsed = stated_times(text)
     bad = (parsed.isna() & (text != "")).to_numpy(dtype=bool)
     if bad.any():
         index = int(np.argmax(bad))

@@ -14,6 +14,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import Column
+from bayes_rs.stated_time import stated_times
 
 BoolArray = NDArray[np.bool_]
 _EPOCHS = {"unix": ("1970-01-01", 1.0), "labview": ("1904-01-01", 1.0), "matlab": ("1970-01-01", 86400.0)}
@@ -64,10 +65,10 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
     if file_format.time_format in _EPOCHS:
         return _counted(is_number, known, column, file_format.time_format), is_invalid
-    pattern = file_format.time_format or "ISO8601"
-    if file_format.decimal == ",":  # as in the entries, which have points by now
+    pattern = file_format.time_format
+    if pattern is not None and file_format.decimal == ",":  # as in the entries, which have points by now
         pattern = pattern.replace(",", ".")
-    parsed = pd.to_datetime(text.where(known), format=pattern, utc=True, errors="coerce")
+    parsed = stated_times(text.where(known), pattern)
     in_range = (parsed > pd.Timestamp.min.tz_localize("UTC")) & (parsed < pd.Timestamp.max.tz_localize("UTC"))
     bad = known & ~in_range.to_numpy(dtype=bool)
     if file_format.time_format is None:  # ISO 8601 would take a bare number for a year

@@ -19,6 +19,7 @@ from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.samples import Samples
+from bayes_rs.stated_time import stated_times
 
 SUFFIXES = (".hpl",)
 
@@ -170,7 +171,7 @@ def _header(lines: list[str], file: Path) -> _Header:
     length = _field(fields, "range gate length (m)", file)
     n_gate = _field(fields, "number of gates", file)
     start = fields.get("start time", "").replace(",", ".")
-    parsed = pd.to_datetime(start, format="%Y%m%d %H:%M:%S.%f", errors="coerce")
+    parsed = stated_times(pd.Series([start]), "%Y%m%d %H:%M:%S.%f").dt.tz_localize(None)[0]
     if not (n_gate.is_integer() and 0 < n_gate <= _MOST_GATES and length > 0.0) or pd.isna(parsed) or scale is None:
         raise InputError(
             f"The header of file {str(file)!r} cannot be used: Number of gates {n_gate:g}, Range gate length "

@@ -20,6 +20,7 @@ from bayes_rs.readers.netcdf_file import SUFFIXES, open_netcdf
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
+from bayes_rs.stated_time import says_since
 
 RECORD_DIMS = ("record", "beam")
 """Dimensions of the variances in a file of records, which is no file of radial velocities."""
@@ -114,6 +115,12 @@ def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[s
                 f"{', '.join(repr(str(variable)) for variable in dataset.variables)}; "
                 f"say what the file calls it with the option columns={{{name!r}: 'name in the file'}}."
             )
+    units = str(found["time"].encoding.get("units", ""))
+    if np.issubdtype(found["time"].dtype, np.datetime64) and units and not says_since(units):
+        raise InputError(
+            f"Variable {str(found['time'].name)!r} of file {str(file)!r} counts times in {units!r}: units must say the "
+            "whole date that they count from, such as 'seconds since 1970-01-01'."
+        )
     velocity = _without_coordinates(found["radial_velocity"])
     if velocity.size == 0:
         raise InputError(f"File {str(file)!r} has no sample: give a file with samples.")

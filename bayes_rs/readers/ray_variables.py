@@ -15,6 +15,7 @@ from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.rays import Rays, direction_of
+from bayes_rs.stated_time import says_since
 
 _ANGLE_LIMIT = 720.0  # degrees; scanners count on beyond a turn, fill values are far away
 _OTHER_UNITS = {
@@ -203,6 +204,8 @@ def decode_times(variable: xr.Variable, units: str, name: str, file: Path) -> ND
     """
     attributes = {"units": units, **{key: variable.attrs[key] for key in ("calendar",) if key in variable.attrs}}
     try:
+        if not says_since(units):
+            raise ValueError("they do not say the date that they count from")
         raw = np.asarray(without_missing(variable).values, dtype=np.float64)
         counted = xr.Variable(variable.dims, np.where(np.isfinite(raw), raw, np.nan), attributes)
         decoded = xr.decode_cf(xr.Dataset({"t": counted}), decode_timedelta=False)["t"].values

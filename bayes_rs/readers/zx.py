@@ -26,6 +26,7 @@ from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Table, open_table
+from bayes_rs.stated_time import stated_times
 
 SUFFIXES = (".csv", ".txt", ".parquet", ".pq")
 INVALID = tuple(float(number) for number in range(9987, 10000))
@@ -378,7 +379,7 @@ def _time_format(values: pd.Series[Any]) -> str | None:
     text = values.astype("string").str.strip()
     text = text[text.notna() & (text != "")]
     for pattern in _TIME_FORMATS:
-        if len(text) and bool(pd.to_datetime(text, format=pattern, errors="coerce").notna().all()):
+        if len(text) and bool(stated_times(text, pattern).notna().all()):
             return pattern
     return None
 

@@ -1,8 +1,10 @@
-"""SIGKILL at any moment: afterwards an output is absent, whole or resumable, and half of it is never read as whole."""
+"""Signals at any moment: afterwards an output is absent, whole or resumable, and half of it is never read as whole."""
 
 import os
 import shutil
+import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,45 @@ import pandas as pd
 import pytest
 import xarray as xr
 from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
+from fit_scene import NOISE, make_records
 
 import bayes_rs as brs
 from bayes_rs import InputError
 from bayes_rs.noise.file import load_noise
-from bayes_rs.output import output_folder, write_run
+from bayes_rs.output import output_folder, write_netcdf, write_run
+from bayes_rs.result_folder import open_result_folder
 
 pytestmark = pytest.mark.slow
 LONG = (*FIT, "--draws", "float32", "--resume")
+SMALL_PARTS = """
+import signal
+from bayes_rs import __main__ as command
+before = signal.signal(signal.SIGINT, command._stop)
+open("begun", "w").close()
+from bayes_rs.fits import plan
+plan.PART_RECORDS = 5
+signal.signal(signal.SIGINT, before)
+command.main()
+"""
+"""The command, with parts so small that a small fit has many moments. Before it has begun, Python itself is loaded."""
+N_FILE = 16
+"""Files of the parts of that fit."""
+OF_RECORDS = (
+    "--scan",
+    "6-beam",
+    "--noise",
+    "noise.nc",
+    "--sampler",
+    "direct",
+    "--ess",
+    "100",
+    "--seed",
+    "3",
+    "--resume",
+)
+KILLS = [("parent", name) for name in ("KILL", "TERM", "HUP", "INT")] + [("workers", "KILL"), ("all", "TERM")]
+MORE_KILLS = [(who, name) for who in ("parent", "workers", "all") for name in ("KILL", "TERM", "HUP", "INT")]
+TWENTY_KILLS = MORE_KILLS + [("parent", name) for name in ("KILL", "TERM", "HUP", "INT")] * 2
 
 
 def kill_at(process, seconds):
@@ -28,8 +61,79 @@ def kill_at(process, seconds):
     return process.returncode != 0
 
 
+def workers_of(process):
+    """The processes that work for one."""
+    with suppress(OSError):  # it has ended
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        return [int(child) for child in children if "popen_loky" in Path(f"/proc/{child}/cmdline").read_text()]
+    return []
+
+
+def send(process, who, name):
+    """Send a signal to a process, to one of its workers, or to all of them; return what it wrote to stderr."""
+    number = getattr(signal, f"SIG{name}")
+    if who != "parent":
+        targets = workers_of(process)
+        for target in targets if who == "all" else targets[:1]:
+            with suppress(ProcessLookupError):
+                os.kill(target, number)
+    if who != "workers":
+        process.send_signal(number)
+    return process.communicate()[1]
+
+
+def when_there_are(n_file, folder, process, *, then):
+    """Wait until the command has begun and its folder has so many files of parts, and a moment longer."""
+    begun = folder.with_name("begun")
+    while process.poll() is None and not (begun.exists() and len(list(folder.rglob("part-*.parquet"))) >= n_file):
+        time.sleep(0.01)
+    begun.unlink(missing_ok=True)
+    time.sleep(then)
+
+
+def files_of(folder):
+    """The files that two runs of the same fit have in common, byte for byte."""
+    found = {file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    return {name: content for name, content in found.items() if name not in ("run.json", "fingerprints.jsonl")}
+
+
 def moments(n, longest, *, seed):
     return sorted(np.random.default_rng(seed).uniform(0.3, longest, n).tolist())
+
+
+AT_IMPORT = """
+import os, signal, sys
+from bayes_rs.__main__ import main
+left = int(sys.argv.pop(1))
+def count(event, _):
+    global left
+    left -= event == "import"
+    if left == 0 and event == "import":
+        os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(count)
+main()
+"""
+"""The command, which interrupts itself at the n-th import: a moment that no load of the machine moves."""
+
+
+class TestFirstSeconds:
+    @pytest.mark.parametrize(
+        "n_import",
+        [1, 30, 300, 700, *(pytest.param(n, marks=pytest.mark.long) for n in range(75, 1500, 50))],
+    )
+    def test_an_interrupt_while_modules_are_loaded(self, tmp_path, n_import):
+        """A Python that ran a text as code when it was interrupted ends by the signal; a shell says 130 of both."""
+        process = start(n_import, *FIT, "-o", "out", folder=tmp_path, own=AT_IMPORT)
+        _, errors = process.communicate()
+        assert errors.split("\n") == ["", "bayes-rs: interrupted.", ""]
+        assert process.returncode in (130, -signal.SIGINT)
+        assert not (tmp_path / "out").exists()
+
+    def test_where_interrupts_are_ignored_they_stay_so(self, tmp_path):
+        """A shell has the programs in its background ignore them."""
+        ignoring = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{AT_IMPORT}"
+        code, errors = run(30, "scans", folder=tmp_path, own=ignoring)
+        assert (code, errors) == (0, "")
 
 
 class TestFiles:
@@ -84,11 +188,46 @@ class TestFolders:
             assert one[name] == other[name], name
         assert one.keys() == other.keys()
 
+    @pytest.mark.parametrize("kills", [KILLS, pytest.param(TWENTY_KILLS, marks=pytest.mark.long)])
+    def test_any_signal_to_anyone_at_any_moment(self, tmp_path, kills):
+        """What is finished is byte for byte that of a run that nobody stopped; what is not is never taken for it."""
+        write_netcdf(make_records(20), tmp_path / "records.nc")
+        NOISE.save(tmp_path / "noise.nc")
+        fit = ("fit", "records.nc", *OF_RECORDS)
+        assert run(*fit, "-o", "whole", folder=tmp_path, own=SMALL_PARTS)[0] == 0
+        (tmp_path / "begun").unlink()
+        whole = files_of(tmp_path / "whole")
+        rng = np.random.default_rng(len(kills))
+        out = tmp_path / "out"
+        stages = np.sort(rng.integers(0, N_FILE, len(kills))).tolist()
+        for (who, name), n_file in zip(kills, stages, strict=True):
+            crew = () if who == "parent" else ("--workers", "2")
+            process = start(*fit, "-o", "out", *crew, folder=tmp_path, own=SMALL_PARTS)
+            when_there_are(n_file, out, process, then=rng.uniform(0.0, 0.3))
+            errors = send(process, who, name)
+            if who == "parent":
+                assert "Traceback" not in errors
+            if not out.exists():
+                continue
+            opened = open_result_folder(out)
+            if not opened.finished:
+                with pytest.raises(InputError, match=r"The fit in '.*out' has not ended"):
+                    brs.open_fit(out)
+            for file in opened.names():
+                assert opened.damage(file) in (None, "is missing")
+                if file in whole and opened.damage(file) is None:
+                    assert (out / file).read_bytes() == whole[file], file
+        code, errors = run(*fit, "-o", "out", folder=tmp_path, own=SMALL_PARTS)
+        assert code == 0, errors
+        assert files_of(out) == whole
+
     @pytest.mark.parametrize("n_kill", [1, pytest.param(20, marks=pytest.mark.long)])
     def test_a_long_fit_goes_on(self, tmp_path, n_kill):
         assert run(*LONG, "-o", "whole", folder=tmp_path)[0] == 0
-        for seconds in moments(n_kill, 5.0, seed=2):
-            kill_at(start(*LONG, "-o", "out", folder=tmp_path), seconds)
+        for number, seconds in enumerate(moments(n_kill, 5.0, seed=2)):
+            process = start(*LONG, "-o", "out", folder=tmp_path)
+            time.sleep(seconds)
+            send(process, "parent", ("KILL", "TERM", "HUP", "INT")[number % 4])
         assert run(*LONG, "-o", "out", folder=tmp_path)[0] == 0
         for name in ("summary", "posterior", "draws"):
             one, other = (pd.read_parquet(tmp_path / folder / name) for folder in ("whole", "out"))

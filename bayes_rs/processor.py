@@ -1,0 +1,58 @@
+"""The kind of processor that numbers come from: their last bits depend on it, and on nothing else of a machine."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_info, threadpool_limits
+
+_log = logging.getLogger(__name__)
+
+
+@cache
+def processor_kind() -> str:
+    """Return what NumPy and BLAS found of this processor, and calculate by, as ``X86_V2 X86_V3, openblas Haswell``."""
+    import scipy.linalg  # noqa: F401, PLC0415 - it brings a BLAS of its own
+
+    config: Any = np.show_config(mode="dicts") or {}
+    simd = config.get("SIMD Extensions", {})
+    found = [str(name) for where in ("baseline", "found") for name in simd.get(where, [])]
+    blas = {
+        f"{library['internal_api']} {library['architecture']}"
+        for library in threadpool_info()
+        if library["user_api"] == "blas" and library.get("architecture")
+    }
+    return ", ".join([" ".join(found) or "unknown", *sorted(blas)])
+
+
+def note_processor(kinds: list[str], kind: str) -> bool:
+    """Add a kind of processor to those that the numbers of a fit come from; warn if there is another; say if it is new.
+
+    Examples
+    --------
+    >>> kinds = ["X86_V3"]
+    >>> note_processor(kinds, "X86_V3"), kinds
+    (False, ['X86_V3'])
+    """
+    if kind in kinds:
+        return False
+    if kinds:
+        _log.warning(
+            "Numbers of this fit come from processors of different kinds (%s; %s): they are the same up to their last "
+            "digits, medians up to 3e-6 of their value.",
+            *("; ".join(kinds), kind),
+        )
+    kinds.append(kind)
+    return True
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Have BLAS calculate with one thread: sums are then in one order, whatever the number of cores."""
+    with threadpool_limits(1):
+        yield
