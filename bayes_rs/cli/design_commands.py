@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, class_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, class_options
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.scan_criteria import CriterionOptions
 from bayes_rs.design.scan_limits import ScanLimits
@@ -41,10 +41,22 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
 @click.command(cls=GroupedCommand)
 @class_options((ScanLimits, "What the scan may be"), (CriterionOptions, "What it is judged by"))
 @click.option(
-    "--beams", "n_beams", type=int, multiple=True, required=True, help="Number of beams; of several, the best is kept."
+    "--beams",
+    "n_beams",
+    type=Quantity("n_beams", minimum=1),
+    multiple=True,
+    required=True,
+    help="Number of beams; of several, the best is kept.",
 )
-@click.option("--starts", "n_starts", type=int, default=24, show_default=True, help="Number of local searches.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Same seed, same scan.")
+@click.option(
+    "--starts",
+    "n_starts",
+    type=Quantity("n_starts", minimum=1),
+    default=24,
+    show_default=True,
+    help="Number of local searches.",
+)
+@click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Same seed, same scan.")
 @_output
 @_overwrite
 def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, overwrite: bool, **options: Any) -> None:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_beside_noise, refuse_for_records, settings_of, settings_options
+from bayes_rs.cli.options import (
+    GroupedCommand,
+    Quantity,
+    refuse_beside_noise,
+    refuse_for_records,
+    settings_of,
+    settings_options,
+)
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
 
 if TYPE_CHECKING:
@@ -107,8 +114,7 @@ def _tell(found: Fit, output: str) -> None:
 @click.option(
     "--factor",
     "factors",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("factor"),
     multiple=True,
     default=(0.5, 2.0),
     show_default=True,

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 
 
@@ -17,14 +17,12 @@ from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 @click.option(
     "--heading",
     "heading_deg",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("heading_deg", "degrees"),
     help="Where the lidar looks, degrees clockwise from north.",
 )
 @click.option(
     "--hub-height",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("hub_height", "m"),
     help="Height of the lidar above the ground, m; with it a profile is fitted.",
 )
 @click.option(

@@ -156,8 +156,9 @@ class Scan:
             raise InputError(
                 f"Invalid beam numbers {beam.tolist()} in scan {self.name!r}: one for each beam, all different."
             )
-        check_finite(self.tilt, what="tilt", unit="rad", where=f"scan {self.name!r}")
-        check_finite(self.yaw, what="yaw", unit="rad", where=f"scan {self.name!r}")
+        for key in ("tilt", "yaw"):
+            angle = check_finite(getattr(self, key), what=key, unit="rad", where=f"scan {self.name!r}")
+            object.__setattr__(self, key, angle)
         if not isinstance(self.probe, Probe):
             raise InputError(
                 f"Invalid probe {self.probe!r} of scan {self.name!r}: it must be a Probe, as make_probe returns it."
@@ -221,7 +222,7 @@ class Scan:
         InputError
             If it is not finite.
         """
-        return replace(self, yaw=float(yaw))
+        return replace(self, yaw=yaw)
 
     def select(self, beams: ArrayLike) -> Scan:
         """Return the scan with only the beams whose numbers are given, in that order.

@@ -153,8 +153,8 @@ def calibrate(
             records,
             scan.select(records["beam"].values) if "beam" in records.coords else scan,
             turbulence,
-            length_scale=_range(length_scale),
-            gamma=_range(gamma),
+            length_scale=_range(length_scale, "length_scale"),
+            gamma=_range(gamma, "gamma"),
             tolerance=TOLERANCE if tolerance is None else tolerance,
             **common,
         )
@@ -162,10 +162,10 @@ def calibrate(
         return refined_noise(
             scan,
             turbulence,
-            wind_speed=_range(wind_speed) or (),
-            yaw_deg=_range(yaw_deg),
-            length_scale=_range(length_scale),
-            gamma=_range(gamma),
+            wind_speed=_range(wind_speed, "wind_speed") or (),
+            yaw_deg=_range(yaw_deg, "yaw_deg"),
+            length_scale=_range(length_scale, "length_scale"),
+            gamma=_range(gamma, "gamma"),
             duration=duration,
             tolerance=tolerance,
             **common,
@@ -196,5 +196,5 @@ def _numbers(values: ArrayLike | None, default: float, name: str) -> FloatArray:
     return numbers
 
 
-def _range(values: float | Sequence[float] | None) -> list[float] | None:
-    return None if values is None else [float(value) for value in np.atleast_1d(np.asarray(values, dtype=np.float64))]
+def _range(values: float | Sequence[float] | None, name: str) -> list[float] | None:
+    return None if values is None else [float(value) for value in _numbers(values, 0.0, name)]

@@ -134,7 +134,7 @@ def fit_spectra(
     kept = _fitted_beams(used.n_beam, beams, max_beams)
     gammas = _gammas(gamma)
     median = check_positive(length_scale_prior[0], what="length_scale_prior", unit="m", where="its median")
-    width = check_positive(length_scale_prior[1], what="length_scale_prior", unit="", where="its width")
+    width = check_positive(length_scale_prior[1], what="length_scale_log_sd", unit="", where="length_scale_prior")
     check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
     if instrument_noise_sd is not None:
         check_non_negative(instrument_noise_sd, what="instrument_noise_sd", unit="m² s⁻²")

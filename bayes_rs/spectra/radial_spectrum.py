@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from bayes_rs._validation import FloatArray, check_count, check_positive
+from bayes_rs._validation import FloatArray, check_count, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -205,7 +205,7 @@ def average_spectra(
             "frequency": ("bin", np.bincount(bin_of, weights=frequency) / size, {"units": "Hz"}),
             "beam": ("beam", some["beam"].values),
         },
-        attrs={**spectra.attrs, "prob": check_positive(prob, what="prob", unit="")},
+        attrs={**spectra.attrs, "prob": check_prob(prob)},
     )
 
 
