@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.quantities import LIMITS, MOST_SEED, OF_COUNT, OF_SIZE, Limits
 
 FloatArray = NDArray[np.float64]
-
-_SHOWN = reprlib.Repr()
-_SHOWN.maxstring = _SHOWN.maxother = 80
-_SHOWN.maxlong = 40
-
-
-def in_short(value: object) -> str:
-    """Return a value for a message: what Python writes of it, in one line and not too long."""
-    try:
-        text = _SHOWN.repr(value)
-    except Exception:  # noqa: BLE001 - an object of the user's own may fail to say what it is
-        text = f"<{type(value).__name__}>"
-    return " ".join(text.split())
 
 
 def check_seed(seed: int, *, what: str = "seed") -> int:
@@ -108,11 +94,40 @@ def check_count(value: int, *, what: str, minimum: int = 1) -> int:
     return int(value)
 
 
+def check_log_normal(prior: Any, *, what: str, unit: str, width: str) -> tuple[float, float]:
+    """Return median and standard deviation of the logarithm, both above zero and within limits of their own."""
+    given = as_items(prior, what=what)
+    if len(given) != 2:
+        raise InputError(
+            f"Invalid {what} {in_short(prior)}: it must be two numbers, median ({unit}) and width of the logarithm."
+        )
+    return (
+        check_positive(given[0], what=what, unit=unit, where="its median"),
+        check_positive(given[1], what=width, unit="", where=what),
+    )
+
+
+def check_switch(value: bool, *, what: str) -> bool:
+    """Return `value` if it is true or false."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be True or False.")
+    return bool(value)
+
+
+def as_items(values: Any, *, what: str) -> list[Any]:
+    """Return several values as a list; a single text or number is a list of one."""
+    if isinstance(values, (str, bytes)) or np.isscalar(values):
+        return [values]
+    if not isinstance(values, Iterable) or isinstance(values, Mapping) or getattr(values, "ndim", 1) == 0:
+        raise InputError(f"Invalid {what} {in_short(values)}: it must be a list.")
+    return list(values)
+
+
 def as_number(value: Any) -> float:
     """Return one real number as a float; NaN for what is none, such as a text, a bool or an array."""
-    if isinstance(value, (bool, np.bool_, str, bytes, complex, np.complexfloating)) or np.ndim(value) > 0:
+    if isinstance(value, (bool, np.bool_, str, bytes, complex, np.complexfloating)) or value is np.ma.masked:
         return np.nan
-    if isinstance(value, np.ndarray) and value.dtype.kind not in "iuf":
+    if hasattr(value, "dtype") and (np.ndim(value) > 0 or value.dtype.kind not in "iuf"):
         return np.nan
     try:
         return float(value)

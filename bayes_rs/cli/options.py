@@ -11,8 +11,8 @@ from typing import Any, TypeVar, Union, get_args, get_origin
 import click
 from click.shell_completion import CompletionItem
 
-from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed, in_short
-from bayes_rs.errors import InputError
+from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 

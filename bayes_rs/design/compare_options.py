@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_rs._validation import check_choice, check_count, check_positive, check_seed
+from bayes_rs._validation import as_items, check_choice, check_count, check_positive, check_seed
 from bayes_rs.design.estimators import ESTIMATORS
 from bayes_rs.errors import InputError
 from bayes_rs.options import described, option
@@ -88,7 +88,7 @@ class CompareOptions:
         """The classic estimators."""
         if isinstance(self.estimators, str):
             return (self.estimators,)
-        return tuple(ESTIMATORS) if self.estimators is None else tuple(self.estimators)
+        return tuple(ESTIMATORS) if self.estimators is None else tuple(as_items(self.estimators, what="estimators"))
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.errors import InputError, NotPositiveDefiniteError, in_short
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -300,6 +300,10 @@ def _chosen_form(method: str, ratio_vv: float, ratio_ww: float) -> StressForm:
 
 
 def _coefficients(combinations: Mapping[str, ArrayLike] | None) -> FloatArray:
+    if combinations is not None and not isinstance(combinations, Mapping):
+        raise InputError(
+            f"Invalid combinations {in_short(combinations)}: it must be a mapping from names to six coefficients."
+        )
     rows = [
         check_array(row, (len(STRESSES),), what=f"coefficients of the combination {name!r}")
         for name, row in (combinations or {}).items()

@@ -9,16 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import (
-    check_choice,
-    check_count,
-    check_finite,
-    check_non_negative,
-    check_prob,
-    check_seed,
-    in_short,
-)
-from bayes_rs.errors import InputError
+from bayes_rs._validation import check_choice, check_count, check_finite, check_non_negative, check_prob, check_seed
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import FloatArray, check_positive
+from bayes_rs._validation import FloatArray, as_items, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import split_options
@@ -82,6 +82,7 @@ def prior_sensitivity(
     1.0
     """
     own, choice = split_options({**options, "seed": seed, "draws": "float64", **_NO_CAMPAIGN})
+    factors = as_items(factors, what="factors")
     for factor in factors:
         check_positive(factor, what="factor", unit="", where="the check of the prior")
     every = sorted({1.0, *(float(factor) for factor in factors)})

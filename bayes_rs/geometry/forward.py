@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, as_numbers
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -54,7 +54,7 @@ def design_matrix(scan: Scan | str | Path | ArrayLike) -> FloatArray:
            [ 0.36,  0.  ,  0.64, -0.  , -0.96,  0.  ]])
     """
     scan = as_scan(scan) if isinstance(scan, str | Path) else scan
-    vectors = scan.line_of_sight if isinstance(scan, Scan) else np.asarray(scan, dtype=np.float64)
+    vectors = scan.line_of_sight if isinstance(scan, Scan) else as_numbers(scan, what="beam vectors")
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
     first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -83,7 +83,10 @@ def radial_variance(scan: Scan | str | Path | ArrayLike, stress: ArrayLike) -> F
     >>> float(radial_variance([[-0.6, 0.0, 0.8]], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[0])
     1.0
     """
-    return np.asarray(stress, dtype=np.float64) @ design_matrix(scan).T
+    tensor = as_numbers(stress, what="stress")
+    if tensor.ndim == 0 or tensor.shape[-1] != len(STRESSES):
+        raise InputError(f"Invalid stress of shape {tensor.shape}: the last dimension must hold {', '.join(STRESSES)}.")
+    return tensor @ np.moveaxis(design_matrix(scan), -1, 0)
 
 
 @dataclass(frozen=True)

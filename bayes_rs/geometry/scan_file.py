@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from bayes_rs._validation import FloatArray, check_count
+from bayes_rs._validation import FloatArray, as_numbers, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
@@ -323,7 +323,7 @@ def as_probe(probe: str | Probe) -> Probe:
 def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
     if value is None:
         return None
-    return [float(item) for item in np.atleast_1d(np.asarray(value, dtype=np.float64))]
+    return [float(item) for item in np.ravel(as_numbers(value, what="focus_distance"))]
 
 
 def _read_table(path: Path, deeper: int = 0) -> dict[str, Any]:

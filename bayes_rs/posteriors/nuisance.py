@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, as_number, check_choice, check_non_negative, check_positive, in_short
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, as_number, check_choice, check_non_negative, check_positive
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.geometry.stress import rotate_stress
