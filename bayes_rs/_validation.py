@@ -146,6 +146,14 @@ def as_numbers(values: ArrayLike, *, what: str) -> FloatArray:
         raise InputError(f"Invalid {what} {in_short(values)}: it must be an array of numbers.") from error
 
 
+def as_whole_numbers(values: ArrayLike, *, what: str) -> NDArray[np.int64]:
+    """Return `values` as an int64 array of any shape."""
+    array = np.atleast_1d(as_numbers(values, what=what))
+    if not np.all(np.isfinite(array) & (np.abs(array) < MOST_SEED) & (array == np.round(array))):
+        raise InputError(f"Invalid {what} {in_short(values)}: they must be whole numbers.")
+    return np.asarray(array).astype(np.int64)
+
+
 def check_array(values: ArrayLike, shape: tuple[int | None, ...], *, what: str) -> FloatArray:
     """Return `values` as a finite float64 array of `shape`, where None stands for any length."""
     array = as_numbers(values, what=what)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 
 _SHOWN = reprlib.Repr()
-_SHOWN.maxstring = _SHOWN.maxother = 80
+_SHOWN.maxstring = _SHOWN.maxother = 200
 _SHOWN.maxlong = 40
 
 

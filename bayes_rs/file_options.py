@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import timedelta, timezone, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 from typing import Any, ClassVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -262,11 +262,25 @@ def _beam_numbers(value: object, *, what: str) -> dict[str, int]:
 
 def _time_format(value: object, *, what: str) -> str:
     if isinstance(value, str) and (value in TIME_FORMATS or "%" in value):
+        _check_pattern(value, what=what)
         return value
     raise InputError(
         f"Unknown {what} {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
         "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
     )
+
+
+def _check_pattern(value: str, *, what: str) -> None:
+    """Refuse a pattern of times that has no meaning, before a file is read with it."""
+    try:
+        datetime.strptime("", value)
+    except re.error as error:
+        raise InputError(f"Invalid {what} {value!r}: it names a part of the time twice; name each once.") from error
+    except ValueError as error:
+        if "does not match" not in str(error):
+            raise InputError(
+                f"Invalid {what} {value!r}: {error}; patterns are made of %Y %m %d %H %M %S %f and the like."
+            ) from error
 
 
 def _separator(value: object, *, what: str) -> str:

@@ -111,7 +111,7 @@ def options_of(cls: type) -> list[Option]:
 def described(cls: type[_Class]) -> type[_Class]:
     """Complete a class of options from its fields: the section Parameters of its docstring, and the kinds of values.
 
-    What is made of it is first checked for the kinds of its values, and then by its own rules.
+    What is made of it is checked by its own rules, and for the kinds of its values.
     """
     lines = ["Parameters", "----------"]
     for entry in fields(cls):  # type: ignore[arg-type] # a dataclass: the decorator stands above its own
@@ -122,9 +122,14 @@ def described(cls: type[_Class]) -> type[_Class]:
     own = getattr(cls, "__post_init__", None)
 
     def checked(self: Any) -> None:
+        try:
+            if own is not None:
+                own(self)
+        except (AttributeError, OverflowError, TypeError, ValueError) as error:
+            if not isinstance(error, InputError):
+                check_kinds(self)  # its words are better than those of a rule that expects another kind
+            raise
         check_kinds(self)
-        if own is not None:
-            own(self)
 
     cls.__post_init__ = checked  # type: ignore[attr-defined] # a dataclass calls it
     first, _, rest = (cls.__doc__ or "").partition("\n\n")

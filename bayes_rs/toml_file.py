@@ -114,7 +114,7 @@ def shown(value: Any) -> str:
     """Return what to show of a value: all of a short one, the beginning of a long one, and no control characters."""
     if isinstance(value, dict) or (isinstance(value, list) and not all(isinstance(one, (int, float)) for one in value)):
         return f"a table of {len(value)} keys" if isinstance(value, dict) else f"a list of {len(value)} entries"
-    text = repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)
+    text = " ".join((repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)).split())
     return text if len(text) <= _SHOWN + 3 else f"{text[:_SHOWN]}…"
 
 

@@ -79,10 +79,11 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
 
     SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
     """
+    settings = settings_of((), {"scan": scan, **options})
+
     from bayes_rs.design.planning import plan as make_plan
     from bayes_rs.turbulence.mann import load_turbulence
 
-    settings = settings_of((), {"scan": scan, **options})
     made = make_plan(
         settings.scan.load(),
         load_turbulence(settings.noise.flow),
@@ -151,11 +152,12 @@ def calibrate(
 
     SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
     """
+    settings = settings_of((), {"scan": scan, **options})
+
     from bayes_rs.noise.box_noise import Boxes
     from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
 
-    settings = settings_of((), {"scan": scan, **options})
     if method != "boxes":
         refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --method boxes.")
     with output_file(output, overwrite=overwrite) as part:

@@ -11,6 +11,7 @@ from bayes_rs.cli.options import GroupedCommand, Quantity, class_options
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.scan_criteria import CriterionOptions
 from bayes_rs.design.scan_limits import ScanLimits
+from bayes_rs.options import from_plain, options_of
 
 _output = click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
@@ -30,9 +31,12 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
     focus_distance, tilt_deg, yaw_deg, probe, n_beams (all beams of a cone) and centre (yes or no: one of them along
     the axis).
     """
+    given = _given(options)
+    from_plain(CompareOptions, given, where="the options of compare")  # before what takes a second to load
+
     from bayes_rs.design.compare_job import run_compare
 
-    _, words = run_compare(scans, output, options=_given(options), overwrite=overwrite)
+    _, words = run_compare(scans, output, options=given, overwrite=overwrite)
     for line in words:
         click.echo(line)
     click.echo(f"table, figure and JSON in {output}")
@@ -61,9 +65,13 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
 @_overwrite
 def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, overwrite: bool, **options: Any) -> None:
     """Choose the directions of a scan's beams, within limits, so that they tell most about R."""
+    options = _given(options)
+    for cls in (ScanLimits, CriterionOptions):
+        names = {entry.name for entry in options_of(cls)}
+        from_plain(cls, {name: value for name, value in options.items() if name in names}, where="the options")
+
     from bayes_rs.design.optimize_job import run_optimize
 
-    options = _given(options)
     _, words = run_optimize(n_beams, output, options=options, n_starts=n_starts, seed=seed, overwrite=overwrite)
     for line in words:
         click.echo(line)

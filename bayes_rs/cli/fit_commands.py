@@ -38,11 +38,12 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     them, or before them, a settings file, or the run.json of an earlier run, which is repeated: options and files on
     the command line count before what it says.
     """
+    settings = settings_of(files, options)
+
     from bayes_rs.fits.from_files import fit_files
     from bayes_rs.output import check_output_folder
     from bayes_rs.records.record_files import open_record_files
 
-    settings = settings_of(files, options)
     output = settings.output.output
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output': name a folder for the results.")
@@ -129,6 +130,8 @@ def sensitivity(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
+    settings = settings_of(files, options)
+
     from contextlib import nullcontext
 
     from bayes_rs.fits.prior_check import prior_sensitivity, sensitivity_lines
@@ -137,7 +140,6 @@ def sensitivity(
     def say(line: str) -> None:
         click.echo(line, err=True)
 
-    settings = settings_of(files, options)
     refuse_beside_noise(settings)
     own = settings.fit
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:

@@ -60,10 +60,11 @@ def spectra(
     **options: Any,
 ) -> None:
     """Make spectra of radial velocities; find length scale, dissipation and instrument noise of every record."""
+    settings = settings_of(files, options)
+
     from bayes_rs.output import check_output_folder
     from bayes_rs.spectra.spectra_job import run_spectra
 
-    settings = settings_of(files, options)
     check_output_folder(output, overwrite=overwrite, inputs=settings.files.files)
     scan = settings.scan.load()
     series = series_of(settings, scan)

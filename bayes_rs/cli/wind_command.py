@@ -47,12 +47,13 @@ def wind(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
+    settings = settings_of(files, options)
+
     from bayes_rs.output import output_file, write_csv
     from bayes_rs.turbulence.mann import load_turbulence
     from bayes_rs.wind.mean_vector import mean_wind
     from bayes_rs.wind.profile import wind_profile
 
-    settings = settings_of(files, options)
     if hub_height is None:
         refuse_given(("law",), "it is of the profile, which is fitted where --hub-height is given: add that.")
     with output_file(output, overwrite=overwrite) as part:

@@ -17,7 +17,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
-from bayes_rs.noise.file import as_noise
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.records.belief import believed
 
@@ -200,7 +200,8 @@ def estimate(
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
         raise InputError("Invalid weights 'noise' without noise: give noise=, as bayes_rs.noise.calibrate returns it.")
-    noise = None if noise is None else _checked_noise(records, scan, as_noise(noise))
+    found = given_noise(noise)
+    noise = None if found is None else _checked_noise(records, scan, found)
 
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64))

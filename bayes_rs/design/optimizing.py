@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import FloatArray, as_generator, check_count
+from bayes_rs._validation import FloatArray, as_generator, as_items, check_count
 from bayes_rs.design.beam_space import BeamSpace
 from bayes_rs.design.scan_criteria import CriterionOptions, ScanCriterion, WidthCriterion
 from bayes_rs.design.scan_limits import ScanLimits
@@ -98,7 +98,7 @@ def optimize_scan(
     """
     limits, judged = _options(options)
     scale = judged.make()
-    numbers = [n_beams] if isinstance(n_beams, (int, np.integer)) else list(n_beams)
+    numbers = as_items(n_beams, what="n_beams")
     tried = sorted({int(check_count(number, what="n_beams")) for number in numbers})
     if not tried:
         raise InputError("Invalid n_beams []: give at least one number of beams.")

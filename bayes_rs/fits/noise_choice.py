@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import cast
 
 import numpy as np
 import xarray as xr
 
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError
 from bayes_rs.fits.block_checks import unsteady_records, with_block_checks
 from bayes_rs.fits.fit_options import USUAL_TURBULENCE, FitOptions, NoiseOptions
 from bayes_rs.fits.uncertain_length import length_range
@@ -39,17 +38,6 @@ _OF_SPECTRA = (
 )
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
-
-
-def given_noise(noise: Noise | str | Path | None) -> Noise | None:
-    """Return noise that is given, itself or by its file; None if it is to be made for the records."""
-    if noise is None or isinstance(noise, Noise):
-        return noise
-    if not isinstance(noise, (str, Path)):
-        raise InputError(f"Invalid noise {in_short(noise)}: give a Noise, or the file of one that Noise.save wrote.")
-    from bayes_rs.noise.file import as_noise  # noqa: PLC0415 - not needed without a file
-
-    return as_noise(noise)
 
 
 def noise_and_records(

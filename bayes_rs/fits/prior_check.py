@@ -15,10 +15,11 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import split_options
 from bayes_rs.fits.fitting import fit, with_median_length_scale
-from bayes_rs.fits.noise_choice import given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import noise_and_records
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
 from bayes_rs.records.belief import believed

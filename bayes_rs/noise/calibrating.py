@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray, check_array, check_choice
+from bayes_rs._validation import FloatArray, check_array, check_choice, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -170,6 +170,7 @@ def calibrate(
             tolerance=tolerance,
             **common,
         )
+    check_positive(duration, what="duration", unit="s")
     speeds = _numbers(wind_speed, 0.0, "wind_speed")
     yaws = np.array([scan.yaw]) if yaw_deg is None else np.deg2rad(_numbers(yaw_deg, 0.0, "yaw_deg"))
     flows = [

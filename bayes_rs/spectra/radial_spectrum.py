@@ -161,8 +161,7 @@ def average_spectra(
     """
     check_spectra(spectra)
     check_count(bins_per_decade, what="bins_per_decade")
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
+    check_prob(prob)
     some = spectra if records is None else spectra.isel(record=records)
     frequency = some["frequency"].values
     place = np.floor(np.log10(frequency / frequency[0]) * bins_per_decade + 1e-9).astype(np.int64)

@@ -163,7 +163,6 @@ def _calls() -> dict[str, tuple[Any, dict[str, Any], list[str]]]:
         (brs.noise.theory, short),
         (brs.noise.sonic_moments, short),
         (brs.noise.Boxes, {"n_boxes": 2}),
-        (brs.noise.as_noise, {"noise": one.noise}),
         (brs.geometry.ContinuousWaveProbe, {"rayleigh_length": 6.0}),
         (brs.geometry.PulsedProbe, {"gate_length": 30.0}),
         (brs.geometry.make_probe, {"kind": "pulsed", "gate_length": 30.0}),
