@@ -155,7 +155,7 @@ def as_whole_numbers(values: ArrayLike, *, what: str) -> NDArray[np.int64]:
 
 
 def check_array(values: ArrayLike, shape: tuple[int | None, ...], *, what: str) -> FloatArray:
-    """Return `values` as a finite float64 array of `shape`, where None stands for any length."""
+    """Return `values` as a finite float64 array of `shape`, where None stands for any length, within limits."""
     array = as_numbers(values, what=what)
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("n" if size is None else str(size) for size in shape)
@@ -163,6 +163,13 @@ def check_array(values: ArrayLike, shape: tuple[int | None, ...], *, what: str) 
     if not np.all(np.isfinite(array)):
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InputError(f"Invalid {what}: the entry at {first} is {array[first]}, and every entry must be finite.")
+    limits = LIMITS.get(what)
+    if limits is not None:
+        for first in np.argwhere((array != 0.0) & ((array < limits.least) | (array > limits.most)))[:1].tolist():
+            raise InputError(
+                f"Invalid {what}: the entry at {tuple(first)} is {array[tuple(first)]}, and every entry must be from "
+                f"{limits.least:g} to {limits.most:g}{'; ' * bool(limits.usual)}{limits.usual}."
+            )
     return array
 
 

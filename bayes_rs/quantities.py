@@ -60,6 +60,8 @@ LIMITS: dict[str, Limits] = {
     "length_scale_prior": Limits(1e-3, 1e5, "60 m and 0.8 are usual"),
     # geometry, m, degrees and rad
     "focus_distance": _LENGTH,
+    "separation": Limits(-1e9, 1e9),
+    "position": Limits(-1e6, 1e6),
     "rotor_radius": _LENGTH,
     "range_tolerance": _LENGTH,
     "hub_height": Limits(1e-2, 1e5, "50 to 150 are usual"),

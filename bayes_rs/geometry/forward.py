@@ -154,6 +154,10 @@ def sight(scan: Scan | str | Path | ArrayLike) -> Sight:
     'sees uv, uw, vw; sees uu only together with vv + ww'
     """
     matrix = design_matrix(scan)
+    if matrix.ndim != 2 or len(matrix) == 0 or not np.any(matrix) or not np.all(np.isfinite(matrix)):
+        raise InputError(
+            f"Invalid beam vectors of shape {matrix.shape[:-1]}: give a list of finite ones, not all zero."
+        )
     _, singular, basis = np.linalg.svd(matrix, full_matrices=True)
     rank = int(np.count_nonzero(singular > RANK_TOLERANCE * singular[0]))
     return Sight(rank, float(singular[0] / singular[rank - 1]), _echelon(basis[rank:]))

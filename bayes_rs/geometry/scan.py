@@ -244,6 +244,8 @@ class Scan:
             If a number is not one of this scan's beams.
         """
         wanted = np.atleast_1d(as_whole_numbers(beams, what="beams"))
+        if len(wanted) == 0:
+            raise InputError(f"No beam of scan {self.name!r} is selected: name at least one of {self.beam.tolist()}.")
         for number in wanted.tolist():
             if number not in self.beam:
                 raise InputError(f"Unknown beam {number} in scan {self.name!r}: its beams are {self.beam.tolist()}.")

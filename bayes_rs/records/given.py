@@ -20,6 +20,8 @@ def check_are_records(records: xr.Dataset) -> None:
         raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
+    if records.sizes.get("record") == 0:
+        raise InputError("There is no record: the series is shorter than one averaging period.")
     if records.sizes.get("beam") == 0:
         raise InputError(
             "Invalid records: they hold no beam; select at least one, or make them again with make_records."

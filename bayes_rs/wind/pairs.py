@@ -257,6 +257,8 @@ def _pairs(scan: Scan, plane: str, numbers: Sequence[tuple[int, int]] | None) ->
     else:
         at = {int(number): place for place, number in enumerate(scan.beam)}
         numbers = as_items(numbers, what="pairs")
+        if not numbers:
+            raise InputError("Invalid pairs (): name at least one, as [(0, 1)], or leave it out.")
         for pair in numbers:
             if not isinstance(pair, (tuple, list)) or len(pair) != 2 or any(number not in [*at] for number in pair):
                 raise InputError(
