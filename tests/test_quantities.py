@@ -211,7 +211,7 @@ EXTREMES = [
     (
         brs.noise.calibrate,
         {"scan": "2-beam", "wind_speed": [10.0, 1e300]},
-        "Invalid wind_speed: the entry at (1,) is 1e+300, and every entry must be from 0.001 to 200; 3 to 25 are usual.",
+        "Invalid wind_speed: the entry at (1,) is 1e+300, and every entry must be from 0.001 to 200; 3 to 25 are usual",
     ),
     (brs.geometry.radial_variance, {"scan": "6-beam", "stress": np.array([1j])}, "Invalid stress"),
     (brs.geometry.rotate_stress, {"stress": [1, 1, 1, 0, 0, 0], "rotation": 3.0}, "Invalid rotation of shape ()"),

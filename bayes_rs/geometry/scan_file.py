@@ -312,6 +312,10 @@ def as_probe(probe: str | Probe) -> Probe:
     """Return the probe volume that `probe` means: ``"point"``, the name of a scan that has one, or a probe."""
     if isinstance(probe, Probe):
         return probe
+    if not isinstance(probe, (str, Path)):
+        raise InputError(
+            f"Invalid probe {in_short(probe)}: give 'point', a scan that has one, or what make_probe returns."
+        )
     if probe == "point":
         return make_probe(probe)
     try:

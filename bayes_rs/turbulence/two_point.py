@@ -334,6 +334,7 @@ class CovarianceTable:
 def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) -> CovarianceTable:
     """Return the table that holds all `separation`, shape (n, 3) in L; built once for each Γ and reach."""
     resolution_for(tolerance, gamma)
+    tolerance = float(tolerance)
     reach = np.max(np.abs(separation), axis=0, initial=1e-3)
     along = max(float(reach[0]), _LEAST_REACH[0])
     across = max(float(np.hypot(reach[1], reach[2])), _LEAST_REACH[1])
