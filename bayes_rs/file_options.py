@@ -257,7 +257,8 @@ def _beam_numbers(value: object, *, what: str) -> dict[str, int]:
     for label, number in numbers.items():
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
             raise InputError(
-                f"Invalid beam_numbers entry {label!r}: {in_short(number)}: it must be a whole number, the scan's beam number."
+                f"Invalid beam_numbers entry {label!r}: {in_short(number)}: it must be a whole number, the scan's beam "
+                "number."
             )
     return {label.strip(): int(number) for label, number in numbers.items()}
 
