@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import as_items, check_switch
+from bayes_rs._validation import as_items, check_prob, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
@@ -116,6 +116,8 @@ class Fit(FitData):
         """
         own = self.settings["fit"]
         check_switch(campaign, what="campaign")
+        if prob is not None:
+            check_prob(prob)
         wanted = tuple(own["derived"]) if derived is None else tuple(as_items(derived, what="derived"))
         as_made = (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind"
         if campaign and not as_made:

@@ -14,6 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 
+_LONGEST = 1e6  # entry of a beam vector, which need not be of unit length for its own sake
 RANK_TOLERANCE = 1e-9
 """A singular value below this fraction of the largest counts as zero: directions are stored to about 1e-16."""
 
@@ -57,6 +58,10 @@ def design_matrix(scan: Scan | str | Path | ArrayLike) -> FloatArray:
     vectors = scan.line_of_sight if isinstance(scan, Scan) else as_numbers(scan, what="beam vectors")
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
+    if np.any(np.abs(vectors) > _LONGEST):
+        raise InputError(
+            f"Invalid beam vectors: an entry is {np.nanmax(np.abs(vectors)):g}, and they are unit vectors."
+        )
     first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.stack(
         [first**2, second**2, third**2, 2.0 * first * second, 2.0 * first * third, 2.0 * second * third], axis=-1

@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray, check_array, check_choice, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, check_array, check_choice, check_positive, check_switch
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.at_states import noise_at_states
@@ -130,6 +130,9 @@ def calibrate(
     (3, True)
     """
     scan, turbulence = as_scan(scan), as_turbulence(turbulence)
+    check_switch(sonic, what="sonic")
+    if not isinstance(cache, (bool, str, Path)):
+        raise InputError(f"Invalid cache {in_short(cache)}: it must be True, False or a folder.")
     boxes = method if isinstance(method, Boxes) else None
     if boxes is None and check_choice(str(method), METHODS, what="method of calibration") == "boxes":
         boxes = Boxes()
