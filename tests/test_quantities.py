@@ -187,7 +187,7 @@ EXTREMES = [
     (CompareOptions, {"estimators": 3}, "Unknown estimator 3"),
     (CompareOptions, {"wind_speed": "10"}, "Invalid wind_speed '10' m/s"),
     (CriterionOptions, {"stresses": [3.0]}, "Invalid stresses [3.0]"),
-    (CriterionOptions, {"stresses": ["vv=many"]}, "Invalid weight of vv nan"),
+    (CriterionOptions, {"stresses": ["vv=many"]}, "Invalid weight of vv 'many'"),
     (ScanLimits, {"max_angle_deg": 30.0, "dwell": 1e9}, "Invalid dwell 1000000000.0 s"),
     (ScanLimits, {"max_angle_deg": 30.0, "scan_duration": 1e-300}, "Invalid scan_duration 1e-300 s"),
     (ScanLimits, {"max_angle_deg": 30.0, "scan_duration": 1e300}, "Invalid scan_duration 1e+300 s"),

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative, check_positive
 from bayes_rs.design.beam_space import BeamSpace
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.errors import InputError, NotPositiveDefiniteError, in_short
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
@@ -91,7 +91,7 @@ class CriterionOptions:
         full = np.zeros(len(STRESSES))
         for text, name in zip(given, names, strict=True):
             check_choice(name, STRESSES, what="stress")
-            full[STRESSES.index(name)] = check_non_negative(_weight(text), what=f"weight of {name}", unit="")
+            full[STRESSES.index(name)] = _weight(text, name)
         if not np.any(full > 0.0):
             raise InputError(f"Invalid stresses {given}: one must have a weight above zero.")
         return full / np.sum(full)
@@ -363,12 +363,15 @@ def local_prior_covariance(prior: Prior, turbulence: MannTurbulence) -> FloatArr
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _weight(text: str) -> float:
-    """Return the weight behind the name of a stress, which is 1 if there is none; NaN if it is no number."""
+def _weight(text: str, name: str) -> float:
+    """Return the weight behind the name of a stress, which is 1 if there is none."""
+    words = text.partition("=")[2] if "=" in text else "1"
     try:
-        return float(text.partition("=")[2]) if "=" in text else 1.0
-    except ValueError:
-        return np.nan
+        return check_non_negative(float(words), what="weight", unit="")
+    except ValueError as error:  # also an InputError
+        raise InputError(
+            f"Invalid weight of {name} {in_short(words)}: it must be a finite number, zero or above, and not extreme."
+        ) from error
 
 
 def _labels(flows: Sequence[MannTurbulence], yaw: Sequence[float | None]) -> tuple[str, ...]:
