@@ -2,7 +2,21 @@
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
+
+_SHOWN = reprlib.Repr()
+_SHOWN.maxstring = _SHOWN.maxother = 200
+_SHOWN.maxlong = 40
+
+
+def in_short(value: object) -> str:
+    """Return a value for a message: what Python writes of it, in one line and not too long."""
+    try:
+        text = _SHOWN.repr(value)
+    except Exception:  # noqa: BLE001 - an object of the user's own may fail to say what it is
+        text = f"<{type(value).__name__}>"
+    return " ".join(text.split())
 
 
 class InputError(ValueError):

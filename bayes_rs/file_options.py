@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 
 from bayes_rs._validation import check_choice, check_finite, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option, options_of
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
@@ -212,7 +212,7 @@ def _check_length(name: str, value: Any) -> None:
 
 def _text(value: object, *, what: str) -> str:
     if not isinstance(value, str):
-        raise InputError(f"Invalid {what} {value!r}: it must be a text.")
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be a text.")
     return value
 
 
@@ -222,7 +222,7 @@ def _choice(value: str, *, what: str, choices: tuple[str, ...]) -> str:
 
 def _number(value: Any, *, what: str, check: Callable[..., float], unit: str) -> float:
     if isinstance(value, (bool, str)):  # as in a file that has true or "1" for a number
-        raise InputError(f"Invalid {what} {value!r}{' ' + unit if unit else ''}: it must be a finite number.")
+        raise InputError(f"Invalid {what} {in_short(value)}{' ' + unit if unit else ''}: it must be a finite number.")
     return check(value, what=what, unit=unit)
 
 
@@ -233,7 +233,7 @@ def _numbers(value: float | Sequence[float], *, what: str) -> tuple[float, ...]:
 
 def _mapping(value: object, *, what: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"Invalid {what} {value!r}: it must be a mapping from names to names or numbers.")
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be a mapping from names to names or numbers.")
     return {str(key): item for key, item in value.items()}
 
 
@@ -246,7 +246,9 @@ def _columns(value: object, *, what: str, names: tuple[str, ...]) -> dict[str, s
                 "a wide table vr_<beam number>, cnr_<beam number> or status_<beam number>."
             )
         if isinstance(column, bool) or not isinstance(column, (str, int, np.integer)):
-            raise InputError(f"Invalid column {column!r} for {name!r} in columns: it must be a heading, or a number.")
+            raise InputError(
+                f"Invalid column {in_short(column)} for {name!r} in columns: it must be a heading, or a number."
+            )
     return {name: str(column) for name, column in columns.items()}
 
 
@@ -255,25 +257,26 @@ def _beam_numbers(value: object, *, what: str) -> dict[str, int]:
     for label, number in numbers.items():
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
             raise InputError(
-                f"Invalid beam_numbers entry {label!r}: {number!r}: it must be a whole number, the scan's beam number."
+                f"Invalid beam_numbers entry {label!r}: {in_short(number)}: it must be a whole number, the scan's beam "
+                "number."
             )
     return {label.strip(): int(number) for label, number in numbers.items()}
 
 
 def _time_format(value: object, *, what: str) -> str:
-    if not isinstance(value, str) or (value not in TIME_FORMATS and "%" not in value):
+    if isinstance(value, str) and value in TIME_FORMATS:
+        return value
+    if not isinstance(value, str) or "%" not in value:
         raise InputError(
-            f"Unknown {what} {value!r}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
+            f"Unknown {what} {in_short(value)}: it must be one of {', '.join(TIME_FORMATS)}, or a pattern such as "
             "'%d.%m.%Y %H:%M:%S'; leave it out for ISO 8601."
         )
-    if value in TIME_FORMATS:
-        return value
     from bayes_rs.stated_time import states_a_date  # noqa: PLC0415 - pandas is slow to load
 
     if not states_a_date(value):
         raise InputError(
-            f"Invalid {what} {value!r}: it must be a pattern that can be read and states year, month and day, such as "
-            "'%d.%m.%Y %H:%M:%S'; join the date and the time of day in one column, if the files have two."
+            f"Invalid {what} {in_short(value)}: it must be a pattern that can be read and states year, month and day, "
+            "such as '%d.%m.%Y %H:%M:%S'; join the date and the time of day in one column, if the files have two."
         )
     return value
 
@@ -282,5 +285,5 @@ def _separator(value: object, *, what: str) -> str:
     if value in ("tab", "\\t"):
         return "\t"
     if not isinstance(value, str) or len(value) != 1 or value.isalnum() or value in "\r\n\"'":
-        raise InputError(f"Invalid {what} {value!r}: it must be one character such as ',' or ';', or 'tab'.")
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be one character such as ',' or ';', or 'tab'.")
     return value

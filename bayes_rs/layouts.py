@@ -243,7 +243,7 @@ def shown(value: Any) -> str:
         return f"a table of {len(value)} keys" if isinstance(value, dict) else f"a list of {len(value)} entries"
     if isinstance(value, int) and abs(value) >= 10**_SHOWN:
         return f"a whole number of {value.bit_length()} bits"  # the program need not be able to write it
-    text = repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)
+    text = " ".join((repr(value[: _SHOWN + 1]) if isinstance(value, (str, list)) else repr(value)).split())
     return text if len(text) <= _SHOWN + 3 else f"{text[:_SHOWN]}…"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -63,12 +63,14 @@ def find_model(name: str | Path, kind: str) -> Path:
         path = Path(name)
         if not path.is_file():
             raise InputError(
-                f"No file {str(path)!r}: give the path of a TOML file, or one of the names in models/{kind}."
+                f"No file {in_short(str(path))}: give the path of a TOML file, or one of the names in models/{kind}."
             )
         return path
     if str(name) not in preset_names(kind):
         names = ", ".join(preset_names(kind))
-        raise InputError(f"No preset {str(name)!r} in models/{kind}: use one of {names}, or the path of a .toml file.")
+        raise InputError(
+            f"No preset {in_short(str(name))} in models/{kind}: use one of {names}, or the path of a .toml file."
+        )
     return models_folder(kind) / f"{name}.toml"
 
 
@@ -98,7 +100,7 @@ def demo_file(name: str) -> Path:
     path = models_folder("demo") / f"{name}.parquet"
     if not path.is_file():
         names = ", ".join(sorted(file.stem for file in models_folder("demo").glob("*.parquet")))
-        raise InputError(f"No embedded data {name!r}: use one of {names}.")
+        raise InputError(f"No embedded data {in_short(name)}: use one of {names}.")
     return path
 
 

@@ -13,9 +13,11 @@ import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 
 _Class = TypeVar("_Class")
 _KEY = "bayes_rs option"
@@ -107,13 +109,29 @@ def options_of(cls: type) -> list[Option]:
 
 
 def described(cls: type[_Class]) -> type[_Class]:
-    """Write the section Parameters of the docstring of a class of options, from its fields."""
+    """Complete a class of options from its fields: the section Parameters of its docstring, and the kinds of values.
+
+    What is made of it is checked by its own rules, and for the kinds of its values.
+    """
     lines = ["Parameters", "----------"]
     for entry in fields(cls):  # type: ignore[arg-type] # a dataclass: the decorator stands above its own
         about = entry.metadata[_KEY]
         optional = "" if entry.default is MISSING and entry.default_factory is MISSING else ", optional"
         lines.append(f"{entry.name} : {_in_words(str(entry.type))}{optional}")
         lines.append(f"    {about.help.rstrip('.')}{f', {about.unit}' if about.unit else ''}.")
+    own = getattr(cls, "__post_init__", None)
+
+    def checked(self: Any) -> None:
+        try:
+            if own is not None:
+                own(self)
+        except (AttributeError, OverflowError, TypeError, ValueError) as error:
+            if not isinstance(error, InputError):
+                check_kinds(self)  # its words are better than those of a rule that expects another kind
+            raise
+        check_kinds(self)
+
+    cls.__post_init__ = checked  # type: ignore[attr-defined] # a dataclass calls it
     first, _, rest = (cls.__doc__ or "").partition("\n\n")
     body = "\n".join(line.removeprefix("    ") for line in rest.splitlines())
     cls.__doc__ = "\n\n".join(part for part in (first, "\n".join(lines), body.strip()) if part) + "\n"
@@ -171,6 +189,61 @@ def check_plain(cls: type, values: Mapping[str, Any], *, where: str) -> None:
             )
 
 
+def check_kinds(options: Any) -> None:
+    """Refuse values of options that are of another kind than their types say: a text or a bool for a number, say.
+
+    Raises
+    ------
+    InputError
+        For the first of them.
+    """
+    for entry in options_of(type(options)):
+        value = getattr(options, entry.name)
+        if not _is_kind(value, entry.type):
+            words = " or ".join(dict.fromkeys(word for kind in _members(entry.type) for word in _kind_in_words(kind)))
+            unit = f" {entry.about.unit}" if entry.about.unit and isinstance(value, (int, float)) else ""
+            raise InputError(f"Invalid {entry.name} {in_short(value)}{unit}: it must be {words}.")
+
+
+def _members(annotation: Any) -> tuple[Any, ...]:
+    union = get_origin(annotation) in (typing.Union, types.UnionType)
+    return get_args(annotation) if union else (annotation,)
+
+
+def _is_kind(value: Any, annotation: Any) -> bool:
+    return any(_is_one_kind(value, kind) for kind in _members(annotation))
+
+
+def _is_one_kind(value: Any, kind: Any) -> bool:
+    origin = get_origin(kind)
+    if kind in (float, int):
+        return isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)
+    if kind is bool:
+        return isinstance(value, bool) or type(value).__name__ == "bool"  # NumPy's, which help need not load
+    if origin is Mapping:
+        return value is None or isinstance(value, Mapping)
+    if origin in (Sequence, tuple):
+        inner = get_args(kind)[0]
+        if isinstance(value, (str, Path)):  # one may stand for a list of one
+            return _is_kind(value, inner)
+        several = isinstance(value, (list, tuple)) or getattr(value, "ndim", 0) > 0
+        return several and all(_is_kind(part, inner) for part in value)
+    return isinstance(value, kind)
+
+
+def _kind_in_words(kind: Any) -> list[str]:
+    if kind is type(None):
+        return []
+    origin = get_origin(kind)
+    if origin is Mapping:
+        return ["a mapping"]
+    if origin in (Sequence, tuple):
+        inner = [_PLURAL[one] for one in _members(get_args(kind)[0]) if one in _PLURAL]
+        return [f"a list{' of ' + ' or '.join(inner) if inner else ''}"]
+    return [_KINDS.get(kind, f"a {kind.__name__}")]
+
+
+_PLURAL = {int: "whole numbers", float: "numbers", str: "texts", bool: "bools"}
 _KINDS = {
     bool: "true or false",
     int: "a whole number",

@@ -191,7 +191,7 @@ class TestEveryPrior:
             prior.widened(0.0)
 
     def test_probability_of_an_interval_is_checked(self, prior):
-        with pytest.raises(InputError, match=r"Invalid prob 1.0: it must be a probability"):
+        with pytest.raises(InputError, match=r"Invalid prob 1.0: it must be between 0 and 1"):
             prior.interval_widths(1.0)
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, as_items, as_numbers
 from bayes_rs.errors import InputError
 
 LOG_LENGTH = 1.0
@@ -126,14 +126,14 @@ def make_cells(wind_speed: FloatArray, group: Sequence[object] | None = None) ->
     InputError
         If a wind speed is not above zero, or there is not a group for each record.
     """
-    speed = np.asarray(wind_speed, dtype=np.float64)
+    speed = as_numbers(wind_speed, what="wind_speed")
     bad = np.flatnonzero(~(np.isfinite(speed) & (speed > 0.0)))
     if len(bad):
         raise InputError(
             f"Invalid wind speed {speed[bad[0]]} m/s of record {bad[0]} of the campaign: it must be above zero; leave "
             "such records out of the campaign."
         )
-    labels = [""] * len(speed) if group is None else [str(one) for one in group]
+    labels = [""] * len(speed) if group is None else [str(one) for one in as_items(group, what="group")]
     if len(labels) != len(speed):
         raise InputError(f"Invalid group of {len(labels)} entries: there must be one for each of {len(speed)} records.")
     number, bin_of = np.unique(speed_bin(speed), return_inverse=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_array, check_positive
+from bayes_rs._validation import FloatArray, as_generator, check_array, check_prob
 from bayes_rs.campaign.campaign_posterior import CampaignPosterior
 from bayes_rs.campaign.cells import BIN_WIDTH, speed_bin
 from bayes_rs.errors import InputError
@@ -93,10 +93,8 @@ def campaign_table(
     ----------
     Cochran (1977), Sampling Techniques, 3rd ed., Wiley.
     """
-    check_positive(prob, what="prob", unit="")
-    if prob >= 1.0:
-        raise InputError(f"Invalid prob {prob}: it must be a probability, above 0 and below 1.")
-    rng = np.random.default_rng(seed)
+    check_prob(prob)
+    rng = as_generator(seed)
     draws = campaign.stress.reshape(-1, campaign.n_record, len(STRESSES))
     if offset_sd is not None:
         draws = _offset(draws, check_array(offset_sd, (campaign.n_record,), what="offset_sd"), rng)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_de
 @click.command()
 @click.option("-o", "--output", default="bayes-rs-demo", show_default=True, help="Folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier demo.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Same seed, same numbers.")
+@click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Same seed, same numbers.")
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
     from bayes_rs.cli.demo_job import run_demo
@@ -72,17 +72,18 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
     only={**_MOUNTING, "records": ("duration",), "noise": ("turbulence",), "fit": ("prior", "target_ess")},
 )
 @click.option(
-    "--wind-speed", type=float, metavar="NUMBER", default=10.0, show_default=True, help="Mean wind speed, m/s."
+    "--wind-speed", type=Quantity("wind_speed", "m/s"), default=10.0, show_default=True, help="Mean wind speed, m/s."
 )
 def plan(scan: str, wind_speed: float, **options: Any) -> None:
     """Say what a scene needs computed, what is skipped and why, and what bounds the error.
 
     SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
     """
+    settings = settings_of((), {"scan": scan, **options})
+
     from bayes_rs.design.planning import plan as make_plan
     from bayes_rs.turbulence.mann import load_turbulence
 
-    settings = settings_of((), {"scan": scan, **options})
     made = make_plan(
         settings.scan.load(),
         load_turbulence(settings.noise.flow),
@@ -105,16 +106,14 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
 )
 @click.option(
     "--wind-speed",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("wind_speed", "m/s"),
     multiple=True,
     required=True,
     help="Mean wind speed, m/s; may be repeated, for several states of the wind.",
 )
 @click.option(
     "--noise-yaw",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("yaw_deg", "degrees"),
     multiple=True,
     help="Wind direction relative to the lidar axis, degrees; by default that of the scan. May be repeated.",
 )
@@ -126,8 +125,15 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
     help="By theory, or by a virtual lidar in boxes of turbulence, which checks the theory.",
 )
 @click.option("--sonic", is_flag=True, help="With the moments that `fit --target sonic` needs.")
-@click.option("--boxes", "n_boxes", type=int, default=100, show_default=True, help="Number of turbulence boxes.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the boxes.")
+@click.option(
+    "--boxes",
+    "n_boxes",
+    type=Quantity("n_boxes", minimum=2),
+    default=100,
+    show_default=True,
+    help="Number of turbulence boxes.",
+)
+@click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Seed of the boxes.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def calibrate(
@@ -146,11 +152,12 @@ def calibrate(
 
     SCAN is a name that `bayes-rs scans` lists, or a TOML file; changes follow an @, as in zx-tm@probe=point.
     """
+    settings = settings_of((), {"scan": scan, **options})
+
     from bayes_rs.noise.box_noise import Boxes
     from bayes_rs.noise.calibrating import calibrate as run_calibration
     from bayes_rs.output import output_file
 
-    settings = settings_of((), {"scan": scan, **options})
     if method != "boxes":
         refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --method boxes.")
     with output_file(output, overwrite=overwrite) as part:

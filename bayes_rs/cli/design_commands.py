@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, class_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, class_options
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.scan_criteria import CriterionOptions
 from bayes_rs.design.scan_limits import ScanLimits
+from bayes_rs.options import from_plain, options_of
 
 _output = click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder of an earlier run.")
@@ -30,9 +31,12 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
     focus_distance, tilt_deg, yaw_deg, probe, n_beams (all beams of a cone) and centre (yes or no: one of them along
     the axis).
     """
+    given = _given(options)
+    from_plain(CompareOptions, given, where="the options of compare")  # before what takes a second to load
+
     from bayes_rs.design.compare_job import run_compare
 
-    _, words = run_compare(scans, output, options=_given(options), overwrite=overwrite)
+    _, words = run_compare(scans, output, options=given, overwrite=overwrite)
     for line in words:
         click.echo(line)
     click.echo(f"table, figure and JSON in {output}")
@@ -41,17 +45,33 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
 @click.command(cls=GroupedCommand)
 @class_options((ScanLimits, "What the scan may be"), (CriterionOptions, "What it is judged by"))
 @click.option(
-    "--beams", "n_beams", type=int, multiple=True, required=True, help="Number of beams; of several, the best is kept."
+    "--beams",
+    "n_beams",
+    type=Quantity("n_beams", minimum=1),
+    multiple=True,
+    required=True,
+    help="Number of beams; of several, the best is kept.",
 )
-@click.option("--starts", "n_starts", type=int, default=24, show_default=True, help="Number of local searches.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Same seed, same scan.")
+@click.option(
+    "--starts",
+    "n_starts",
+    type=Quantity("n_starts", minimum=1),
+    default=24,
+    show_default=True,
+    help="Number of local searches.",
+)
+@click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Same seed, same scan.")
 @_output
 @_overwrite
 def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, overwrite: bool, **options: Any) -> None:
     """Choose the directions of a scan's beams, within limits, so that they tell most about R."""
+    options = _given(options)
+    for cls in (ScanLimits, CriterionOptions):
+        names = {entry.name for entry in options_of(cls)}
+        from_plain(cls, {name: value for name, value in options.items() if name in names}, where="the options")
+
     from bayes_rs.design.optimize_job import run_optimize
 
-    options = _given(options)
     _, words = run_optimize(n_beams, output, options=options, n_starts=n_starts, seed=seed, overwrite=overwrite)
     for line in words:
         click.echo(line)

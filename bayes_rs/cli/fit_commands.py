@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_beside_noise, refuse_for_records, settings_of, settings_options
+from bayes_rs.cli.options import (
+    GroupedCommand,
+    Quantity,
+    refuse_beside_noise,
+    refuse_for_records,
+    settings_of,
+    settings_options,
+)
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
 
 if TYPE_CHECKING:
@@ -31,11 +38,12 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     them, or before them, a settings file, or the run.json of an earlier run, which is repeated: options and files on
     the command line count before what it says.
     """
+    settings = settings_of(files, options)
+
     from bayes_rs.fits.from_files import fit_files
     from bayes_rs.output import check_output_folder
     from bayes_rs.records.record_files import open_record_files
 
-    settings = settings_of(files, options)
     output = settings.output.output
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output': name a folder for the results.")
@@ -107,8 +115,7 @@ def _tell(found: Fit, output: str) -> None:
 @click.option(
     "--factor",
     "factors",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("factor"),
     multiple=True,
     default=(0.5, 2.0),
     show_default=True,
@@ -123,6 +130,8 @@ def sensitivity(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
+    settings = settings_of(files, options)
+
     from contextlib import nullcontext
 
     from bayes_rs.fits.prior_check import prior_sensitivity, sensitivity_lines
@@ -131,7 +140,6 @@ def sensitivity(
     def say(line: str) -> None:
         click.echo(line, err=True)
 
-    settings = settings_of(files, options)
     refuse_beside_noise(settings)
     own = settings.fit
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:

@@ -11,6 +11,8 @@ from typing import Any, TypeVar, Union, get_args, get_origin
 import click
 from click.shell_completion import CompletionItem
 
+from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 
@@ -64,6 +66,37 @@ class Number(click.types.FloatParamType):
     """A number."""
 
     name = "number"
+
+
+class Quantity(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only
+    """A number whose limits are known by its name; a whole one if it counts something."""
+
+    name = "number"
+
+    def __init__(self, what: str, unit: str = "", *, minimum: int | None = None, zero: bool = False) -> None:
+        """Take the name of the quantity, its unit, the least if it is a count, and whether it may be zero."""
+        self.what, self.unit, self.minimum, self.zero = what, unit, minimum, zero
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | int:
+        """Return the number."""
+        check: Callable[..., float] = check_non_negative if self.zero else check_positive
+        if self.what.endswith("_deg"):
+            check = check_finite
+        try:
+            if self.minimum is None:
+                return check(float(value), what=self.what, unit=self.unit)
+            number = int(value)
+            return (
+                check_seed(number) if self.what == "seed" else check_count(number, what=self.what, minimum=self.minimum)
+            )
+        except InputError as error:
+            self.fail(str(error), param, ctx)
+        except ValueError:
+            self.fail(f"{in_short(value)} is not a {'whole ' * (self.minimum is not None)}number.", param, ctx)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002 - click's
+        """Return what stands for the value in the help."""
+        return "NUMBER" if self.minimum is None else "INTEGER"
 
 
 class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new versions of click only

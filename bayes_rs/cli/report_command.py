@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from bayes_rs.cli.options import Quantity
+
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
@@ -15,8 +17,7 @@ import click
 @click.option("--title", help="Heading of the page; by default the scan and the period.")
 @click.option(
     "--prob",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("prob"),
     help="Probability of the credible intervals; by default that of the fit. Needs the draws.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing report.")

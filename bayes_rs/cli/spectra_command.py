@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, settings_of, settings_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of
 
 
@@ -16,15 +16,14 @@ from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_o
 @settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
 @click.option(
     "--length-scale-prior",
-    type=(float, float),
+    type=(Quantity("length_scale_prior", "m"), Quantity("length_scale_log_sd")),
     default=(60.0, 0.8),
     show_default=True,
     help="Median of the length scale, m, and standard deviation of its logarithm.",
 )
 @click.option(
     "--instrument-noise",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("instrument_noise", "m² s⁻²", zero=True),
     default=0.0,
     show_default=True,
     help="Expected instrument noise, m² s⁻².",
@@ -32,11 +31,16 @@ from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_o
 @click.option(
     "--instrument-noise-sd",
     "floor_sd",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("instrument_noise_sd", "m² s⁻²", zero=True),
     help="Its standard deviation, m² s⁻²; 0 if it is known. By default 20 % of each variance.",
 )
-@click.option("--tapers", type=int, default=0, show_default=True, help="Sine tapers; 0 is the plain periodogram.")
+@click.option(
+    "--tapers",
+    type=Quantity("tapers", minimum=0),
+    default=0,
+    show_default=True,
+    help="Sine tapers; 0 is the plain periodogram.",
+)
 @click.option(
     "--one-length-scale",
     is_flag=True,
@@ -56,10 +60,11 @@ def spectra(
     **options: Any,
 ) -> None:
     """Make spectra of radial velocities; find length scale, dissipation and instrument noise of every record."""
+    settings = settings_of(files, options)
+
     from bayes_rs.output import check_output_folder
     from bayes_rs.spectra.spectra_job import run_spectra
 
-    settings = settings_of(files, options)
     check_output_folder(output, overwrite=overwrite, inputs=settings.files.files)
     scan = settings.scan.load()
     series = series_of(settings, scan)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bayes_rs.cli.options import GroupedCommand, refuse_given, settings_of, settings_options
+from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 
 
@@ -17,14 +17,12 @@ from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 @click.option(
     "--heading",
     "heading_deg",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("heading_deg", "degrees"),
     help="Where the lidar looks, degrees clockwise from north.",
 )
 @click.option(
     "--hub-height",
-    type=float,
-    metavar="NUMBER",
+    type=Quantity("hub_height", "m"),
     help="Height of the lidar above the ground, m; with it a profile is fitted.",
 )
 @click.option(
@@ -49,12 +47,13 @@ def wind(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
+    settings = settings_of(files, options)
+
     from bayes_rs.output import output_file, write_csv
     from bayes_rs.turbulence.mann import load_turbulence
     from bayes_rs.wind.mean_vector import mean_wind
     from bayes_rs.wind.profile import wind_profile
 
-    settings = settings_of(files, options)
     if hub_height is None:
         refuse_given(("law",), "it is of the profile, which is fitted where --hub-height is given: add that.")
     with output_file(output, overwrite=overwrite) as part:

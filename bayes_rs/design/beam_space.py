@@ -239,7 +239,7 @@ def free_arcs(blocked_deg: Sequence[Sequence[float]]) -> tuple[tuple[float, floa
     """
     if len(blocked_deg) == 0:
         return ()
-    edges = check_array(np.asarray(blocked_deg, dtype=np.float64), (None, 2), what="blocked_deg")
+    edges = check_array(np.asarray(blocked_deg), (None, 2), what="blocked_deg")
     starts = np.mod(edges[:, 0], 360.0)
     widths = np.mod(edges[:, 1] - edges[:, 0], 360.0)
     for index in np.flatnonzero(widths == 0.0).tolist():

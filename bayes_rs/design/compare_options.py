@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_rs._validation import check_choice, check_count, check_positive
+from bayes_rs._validation import as_items, check_choice, check_count, check_positive, check_seed
 from bayes_rs.design.estimators import ESTIMATORS
 from bayes_rs.errors import InputError
 from bayes_rs.options import described, option
@@ -75,8 +75,7 @@ class CompareOptions:
             check_count(self.n_records, what="n_records", minimum=2)
         for name in self.classic:
             check_choice(name, tuple(ESTIMATORS), what="estimator")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
-            raise InputError(f"Invalid seed {self.seed!r}: it must be a whole number, zero or above.")
+        check_seed(self.seed)
 
     @property
     def durations(self) -> tuple[float, ...]:
@@ -89,7 +88,7 @@ class CompareOptions:
         """The classic estimators."""
         if isinstance(self.estimators, str):
             return (self.estimators,)
-        return tuple(ESTIMATORS) if self.estimators is None else tuple(self.estimators)
+        return tuple(ESTIMATORS) if self.estimators is None else tuple(as_items(self.estimators, what="estimators"))
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -29,6 +29,9 @@ from bayes_rs.options import from_plain
 from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as shown
+from bayes_rs.sizes import check_size, check_work
+from bayes_rs.theory.pairs import seconds_of_pairs
+from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.theory.sonic_theory import sonic_moments
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -59,6 +62,7 @@ COLUMNS = (
     "n_record",
     "seconds",
 )
+_BYTES_A_RECORD, _BYTES_A_BEAM, _SECONDS_A_RECORD = 5e5, 1e3, 2e-3  # draws and their copies; posterior
 ENOUGH = 0.02
 """More beams buy nothing where a width is within this of the width with the most beams."""
 
@@ -114,6 +118,7 @@ def compare(
     chosen = from_plain(CompareOptions, options, where="the call of compare")
     loaded, flows, priors = named_scans(scans), chosen.flows(), chosen.priors()
     cells = list(product(loaded, chosen.durations, flows))
+    _check_cells(cells, chosen, len(priors))
     rows: list[dict[str, Any]] = []
     silent = None if progress is None else not progress
     for (label, scan), duration, flow in shown(cells, len(cells), "comparing", disable=silent):
@@ -128,6 +133,20 @@ def compare(
                 seconds = time.perf_counter() - began
                 rows += [{**about, **row, "seconds": seconds} for row in found]
     return _with_ratio(pd.DataFrame(rows).reindex(columns=list(COLUMNS)))
+
+
+def _check_cells(cells: Sequence[Any], chosen: CompareOptions, n_prior: int) -> None:
+    """Refuse a comparison that no memory holds or no one waits for, before the first of its scenes."""
+    count = max(chosen.count(kind) for kind in chosen.kinds)
+    advice = "choose fewer records or fewer scans."
+    seconds = 0.0
+    for (_, scan), duration, _ in cells:
+        n_sample = int(np.max(sample_counts(scan, duration)))
+        check_size(
+            f"{count} records of scan {scan.name!r}", count * (_BYTES_A_RECORD + _BYTES_A_BEAM * scan.n_beam), advice
+        )
+        seconds += seconds_of_pairs(scan, n_sample) + count * n_prior * _SECONDS_A_RECORD
+    check_work(f"{len(cells)} scenes of {count} records", seconds, advice)
 
 
 @dataclass(frozen=True, eq=False)

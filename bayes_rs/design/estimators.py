@@ -11,13 +11,13 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.errors import InputError, NotPositiveDefiniteError, in_short
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
-from bayes_rs.noise.file import as_noise
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.records.belief import believed
 from bayes_rs.records.layout import check_layout
@@ -201,7 +201,8 @@ def estimate(
     wanted = _coefficients(combinations)
     if check_choice(weights, WEIGHTS, what="weights") == "noise" and noise is None:
         raise InputError("Invalid weights 'noise' without noise: give noise=, as bayes_rs.noise.calibrate returns it.")
-    noise = None if noise is None else _checked_noise(records, scan, as_noise(noise))
+    found = given_noise(noise)
+    noise = None if found is None else _checked_noise(records, scan, found)
 
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     yaw = np.deg2rad(np.asarray(records["yaw"].values, dtype=np.float64))
@@ -301,6 +302,10 @@ def _chosen_form(method: str, ratio_vv: float, ratio_ww: float) -> StressForm:
 
 
 def _coefficients(combinations: Mapping[str, ArrayLike] | None) -> FloatArray:
+    if combinations is not None and not isinstance(combinations, Mapping):
+        raise InputError(
+            f"Invalid combinations {in_short(combinations)}: it must be a mapping from names to six coefficients."
+        )
     rows = [
         check_array(row, (len(STRESSES),), what=f"coefficients of the combination {name!r}")
         for name, row in (combinations or {}).items()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import FloatArray, as_generator, check_count
+from bayes_rs._validation import FloatArray, as_generator, as_items, check_count
 from bayes_rs.design.beam_space import BeamSpace
 from bayes_rs.design.scan_criteria import CriterionOptions, ScanCriterion, WidthCriterion
 from bayes_rs.design.scan_limits import ScanLimits
@@ -23,6 +23,10 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import preset_names
 from bayes_rs.options import from_plain, nearest, options_of, to_plain
 from bayes_rs.progress import progress as shown
+from bayes_rs.sizes import check_size, check_work
+
+_STEPS = 30.0  # of a local search, each with differences for the slope
+_BYTES_A_SLOPE, _BYTES_A_DRAW, _SECONDS_A_CUBE = 64.0, 400.0, 2e-9
 
 __all__ = ["ScanOptimum", "optimize_scan", "scan_criterion"]
 
@@ -94,11 +98,13 @@ def optimize_scan(
     """
     limits, judged = _options(options)
     scale = judged.make()
-    numbers = [n_beams] if isinstance(n_beams, (int, np.integer)) else list(n_beams)
+    numbers = as_items(n_beams, what="n_beams")
     tried = sorted({int(check_count(number, what="n_beams")) for number in numbers})
     if not tried:
         raise InputError("Invalid n_beams []: give at least one number of beams.")
     check_count(n_starts, what="n_starts")
+    for number in tried:
+        _check_search(number, limits, judged, n_starts)
     rng = as_generator(seed)
     start = int(rng.integers(0, 2**63)) if isinstance(seed, np.random.Generator) else int(seed)
     silent = None if progress is None else not progress
@@ -115,6 +121,18 @@ def optimize_scan(
             "seed": None if isinstance(seed, np.random.Generator) else start,
         },
     )
+
+
+def _check_search(n_beams: int, limits: ScanLimits, judged: CriterionOptions, n_starts: int) -> None:
+    """Refuse a search that no memory holds or no one waits for."""
+    frame = limits.frame(n_beams)
+    judged.check_size(frame)
+    what = f"The search for {n_beams} beams from {n_starts} starts"
+    advice = "choose fewer beams, fewer starts, a shorter duration or the criterion 'trace'."
+    n_variable, n_pool = 2.0 * n_beams, 16.0 * n_starts
+    check_size(what, _BYTES_A_SLOPE * n_variable**2 + _BYTES_A_DRAW * n_pool * frame.n_beam, advice)
+    evaluations = n_starts * (16.0 + _STEPS * (1.0 + n_variable))
+    check_work(what, evaluations * judged.seconds(frame) + _SECONDS_A_CUBE * _STEPS * n_starts * n_variable**3, advice)
 
 
 def _best_scan(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_rs._validation import check_count, check_positive
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -16,6 +17,9 @@ from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.posteriors.sampling.chains import N_CHAIN
 from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.sizes import MOMENT, in_time
+from bayes_rs.theory.pairs import seconds_of_pairs
+from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 
@@ -51,13 +55,13 @@ class Plan:
         The scene in one line.
     steps : tuple of Step
         In the order in which the fit takes them.
-    noise : Noise
-        The noise of the scene, which the plan had to compute to know its bounds.
+    noise : Noise or None
+        The noise of the scene, which says its bounds; None where it takes more than a moment and is only announced.
     """
 
     title: str
     steps: tuple[Step, ...]
-    noise: Noise
+    noise: Noise | None
 
     def lines(self) -> list[str]:
         """Return the plan as lines to print."""
@@ -96,12 +100,12 @@ def plan(
     Returns
     -------
     plan : Plan
-        Decisions with their reasons and bounds; nothing is sampled.
+        Decisions with their reasons and bounds; nothing is sampled, and no noise is made that takes more than a moment.
 
     Raises
     ------
     InputError
-        If an argument is not valid.
+        If an argument is not valid, or the scene is too large to be computed at all.
 
     Examples
     --------
@@ -110,7 +114,15 @@ def plan(
     '50 variances a record are reduced to 5 numbers'
     """
     chosen, scan, turbulence = make_prior(prior), as_scan(scan), as_turbulence(turbulence)
-    noise = theory_noise(scan, turbulence, wind_speed=wind_speed, duration=duration)
+    check_positive(wind_speed, what="wind_speed", unit="m/s")
+    check_positive(duration, what="duration", unit="s")
+    check_count(target_ess, what="target_ess")
+    n_sample = int(np.max(sample_counts(scan, duration)))
+    seconds = seconds_of_pairs(scan, n_sample)
+    noise = None
+    if seconds <= MOMENT:
+        noise = theory_noise(scan, turbulence, wind_speed=wind_speed, duration=duration)
+    of_noise = _announced(scan, n_sample, seconds) if noise is None else _noise_steps(noise)
     seen = sight(scan)
     title = (
         f"{scan.name} ({scan.n_beam} beams), {duration:g} s at {wind_speed:g} m/s, turbulence {turbulence.name}, "
@@ -119,9 +131,22 @@ def plan(
     shipped = find_shipped_noise(scan, turbulence, duration=duration)
     return Plan(
         title,
-        (*_noise_steps(noise), _bank(shipped), *_data_steps(scan, noise, seen.rank), _sampling(target_ess)),
+        (*of_noise, _bank(shipped), *_data_steps(scan, noise, seen.rank), _sampling(target_ess)),
         noise,
     )
+
+
+def _announced(scan: Scan, n_sample: int, seconds: float) -> list[Step]:
+    """Say what noise would be computed, and about how long that takes."""
+    n_pair = scan.n_beam * (scan.n_beam + 1) // 2
+    return [
+        Step(
+            "noise of the variances",
+            f"by theory, about {in_time(seconds)} of one processor for each state of the wind: not computed here",
+            f"{n_pair} pairs of beams with {n_sample} samples each; pairs that repeat others cost nothing",
+            "known once it is made; calibrate makes it, and keeps it in the cache",
+        )
+    ]
 
 
 def _noise_steps(noise: Noise) -> list[Step]:
@@ -180,7 +205,7 @@ def _bank(shipped: Noise | None) -> Step:
     )
 
 
-def _data_steps(scan: Scan, noise: Noise, rank: int) -> list[Step]:
+def _data_steps(scan: Scan, noise: Noise | None, rank: int) -> list[Step]:
     if scan.n_beam > rank:
         reduction = Step(
             "data",
@@ -201,6 +226,8 @@ def _data_steps(scan: Scan, noise: Noise, rank: int) -> list[Step]:
         )
     else:
         unseen = Step("unseen directions", "none: the scan sees all six stresses", "rank 6", "none")
+    if noise is None:
+        return [reduction, unseen]
     worst = float(np.max(noise.relative_error))
     weight = Step(
         "weight of a record",

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative, check_positive
 from bayes_rs.design.beam_space import BeamSpace
-from bayes_rs.errors import InputError, NotPositiveDefiniteError
+from bayes_rs.errors import InputError, NotPositiveDefiniteError, in_short
 from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
@@ -20,11 +20,14 @@ from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import described, option
 from bayes_rs.priors.registry import Prior, make_prior
+from bayes_rs.theory.pairs import seconds_of_pairs
+from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 """How often each stress stands among the nine elements of the tensor."""
 _PROB = 0.9
+_LEAST_SECONDS = 2e-3  # of a noise of few beams
 _STEP = 1e-4  # central differences of the prior's map
 _REACHED = 1e-6  # the prior's tensor must come so close to the turbulence's, relative to uu
 
@@ -88,8 +91,7 @@ class CriterionOptions:
         full = np.zeros(len(STRESSES))
         for text, name in zip(given, names, strict=True):
             check_choice(name, STRESSES, what="stress")
-            weight = text.partition("=")[2] if "=" in text else 1.0
-            full[STRESSES.index(name)] = check_non_negative(weight, what=f"weight of {name}", unit="")  # type: ignore[arg-type] # a text is read
+            full[STRESSES.index(name)] = _weight(text, name)
         if not np.any(full > 0.0):
             raise InputError(f"Invalid stresses {given}: one must have a weight above zero.")
         return full / np.sum(full)
@@ -99,7 +101,7 @@ class CriterionOptions:
         """Wind directions, rad; None for that of the scan."""
         if self.yaw_deg is None:
             return [None]
-        degrees = check_array(np.atleast_1d(np.asarray(self.yaw_deg, dtype=np.float64)), (None,), what="yaw_deg")
+        degrees = check_array(np.atleast_1d(np.asarray(self.yaw_deg)), (None,), what="yaw_deg")
         if len(degrees) == 0 or np.any(np.abs(degrees) > 180.0):
             raise InputError(
                 f"Invalid yaw_deg {degrees.tolist()}: give at least one direction, each from -180 to 180 degrees."
@@ -112,6 +114,18 @@ class CriterionOptions:
         if not given:
             raise InputError("Invalid turbulence []: give one, or several for the worst case over them.")
         return [as_turbulence(flow) for flow in given]
+
+    def check_size(self, scan: Scan) -> None:
+        """Refuse a scan whose noise is too large to be computed."""
+        if self.criterion == "width":
+            sample_counts(scan, self.duration)
+
+    def seconds(self, scan: Scan) -> float:
+        """Estimate the time of one evaluation, s."""
+        if self.criterion != "width":
+            return 1e-6 * scan.n_beam
+        n_state = len(self.flows()) * len(self.yaws)
+        return n_state * (_LEAST_SECONDS + seconds_of_pairs(scan, self.duration / scan.scan_duration))
 
     def make(self) -> ScanCriterion:
         """Return the criterion."""
@@ -347,6 +361,17 @@ def local_prior_covariance(prior: Prior, turbulence: MannTurbulence) -> FloatArr
         )
     covariance = slope @ np.linalg.solve(bend, slope.T)
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _weight(text: str, name: str) -> float:
+    """Return the weight behind the name of a stress, which is 1 if there is none."""
+    words = text.partition("=")[2] if "=" in text else "1"
+    try:
+        return check_non_negative(float(words), what="weight", unit="")
+    except ValueError as error:  # also an InputError
+        raise InputError(
+            f"Invalid weight of {name} {in_short(words)}: it must be a finite number, zero or above, and not extreme."
+        ) from error
 
 
 def _labels(flows: Sequence[MannTurbulence], yaw: Sequence[float | None]) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs.errors import InputError
+from bayes_rs._validation import as_items
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_changes import several_scans
 from bayes_rs.geometry.scan_file import load_scan
@@ -19,6 +20,12 @@ _ON_AXIS = 1e-9  # rad
 _DIGITS = 9  # of what is calculated from unit vectors
 
 
+def _name(scan: object) -> str | Path:
+    if not isinstance(scan, (str, Path)):
+        raise InputError(f"Invalid scan {in_short(scan)}: give a Scan, or a name or file of one.")
+    return scan
+
+
 def named_scans(scans: str | Path | Scan | Sequence[str | Path | Scan]) -> list[tuple[str, Scan]]:
     """Return the scans with their labels; a name with several values of a change is as many scans.
 
@@ -27,12 +34,14 @@ def named_scans(scans: str | Path | Scan | Sequence[str | Path | Scan]) -> list[
     InputError
         If there is no scan, one is given twice, or a name is not valid.
     """
-    given = [scans] if isinstance(scans, (str, Path, Scan)) else list(scans)
+    given = [scans] if isinstance(scans, (str, Path, Scan)) else as_items(scans, what="scans")
     loaded = [
         pair
         for scan in given
         for pair in (
-            [(scan.name, scan)] if isinstance(scan, Scan) else [(name, load_scan(name)) for name in several_scans(scan)]
+            [(scan.name, scan)]
+            if isinstance(scan, Scan)
+            else [(name, load_scan(name)) for name in several_scans(_name(scan))]
         )
     ]
     if not loaded:

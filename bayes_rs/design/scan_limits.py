@@ -110,9 +110,7 @@ class ScanLimits:
     @property
     def distances(self) -> FloatArray:
         """The focus distances, m, shape (n_plane,)."""
-        return check_array(
-            np.atleast_1d(np.asarray(self.focus_distance, dtype=np.float64)), (None,), what="focus_distance"
-        )
+        return check_array(np.atleast_1d(np.asarray(self.focus_distance)), (None,), what="focus_distance")
 
     @property
     def blocked(self) -> list[Sequence[float]]:

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import COVARIANCES, PAIRS
 from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
@@ -288,7 +288,7 @@ class FitData:
         if isinstance(record, str) and not record.lstrip("-").isdecimal():
             index = self._at(record)
         else:
-            index = int(record)
+            index = int(record) if isinstance(record, str) else check_count(record, what="record", minimum=0)
             if not 0 <= index < self.n_record:
                 raise InputError(f"No record {index}: there are {self.n_record}, numbered from 0.")
         if not self.fitted[index]:

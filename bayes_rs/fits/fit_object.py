@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from bayes_rs._validation import as_items, check_prob, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
@@ -114,7 +115,10 @@ class Fit(FitData):
         slides a little over intervals of the same probability besides, which its ends' errors leave out.
         """
         own = self.settings["fit"]
-        wanted = tuple(own["derived"]) if derived is None else tuple(derived)
+        check_switch(campaign, what="campaign")
+        if prob is not None:
+            check_prob(prob)
+        wanted = tuple(own["derived"]) if derived is None else tuple(as_items(derived, what="derived"))
         as_made = (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind"
         if campaign and not as_made:
             raise InputError(

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import as_generator, check_choice, check_count, check_finite, check_non_negative
-from bayes_rs.errors import InputError
+from bayes_rs._validation import check_choice, check_count, check_finite, check_non_negative, check_prob, check_seed
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
@@ -136,7 +136,7 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         """Check the options, one by one and together."""
-        as_generator(self.seed)
+        check_seed(self.seed)
         check_choice(self.target, tuple(TARGETS), what="target")
         check_choice(self.sampler, tuple(SAMPLERS), what="sampler")
         from bayes_rs.likelihoods.log_normal import LIKELIHOODS  # noqa: PLC0415 - help need not wait for scipy
@@ -159,7 +159,7 @@ class FitOptions:
         else:
             check_non_negative(self.instrument_noise, what="instrument_noise", unit="m² s⁻²")
         if not isinstance(self.nuisances, Nuisances):
-            raise InputError(f"Invalid nuisances {self.nuisances!r}: give bayes_rs.Nuisances(...).")
+            raise InputError(f"Invalid nuisances {in_short(self.nuisances)}: give bayes_rs.Nuisances(...).")
         if self.nuisances.instrument_noise_log_sd > 0.0 and self.instrument_noise == 0.0:
             raise InputError(
                 "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²; "
@@ -275,16 +275,3 @@ def prior_file(prior: Any) -> str | None:
     """
     name, colon, file = prior.partition(":") if isinstance(prior, str) else ("", "", "")
     return file.strip() if name == "campaign" and colon else None
-
-
-def check_prob(prob: float) -> float:
-    """Return the probability of an interval.
-
-    Raises
-    ------
-    InputError
-        If it is not between 0 and 1.
-    """
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    return float(prob)

@@ -17,13 +17,14 @@ from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
-from bayes_rs.fits.noise_choice import fit_inputs, given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers, done_parts
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.priors.registry import Prior

@@ -15,11 +15,12 @@ from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
-from bayes_rs.fits.noise_choice import fit_inputs, given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread

@@ -16,7 +16,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, is_realizable
 from bayes_rs.likelihoods.base import seen_directions
-from bayes_rs.noise.file import as_noise
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 
 _NOTHING = 1e-10
@@ -75,23 +75,23 @@ def inflow_confounding(
     [[-0.48, 1.0]]
     """
     scan = as_scan(scan)
-    noise = None if noise is None else as_noise(noise)
+    own = given_noise(noise)
     tensor = check_array(stress, (len(STRESSES),), what="stress")
     if not bool(is_realizable(tensor)):
         raise InputError(f"Invalid stress {tensor.tolist()}: the tensor must be realizable.")
     matrix = design_matrix(scan)
-    if noise is not None:
-        noise.check_scan(scan)
-        matrix = noise.gain[0] if noise.yaw[0] == scan.yaw else matrix
+    if own is not None:
+        own.check_scan(scan)
+        matrix = own.gain[0] if own.yaw[0] == scan.yaw else matrix
     level = matrix @ tensor
     if not np.all(level > 0.0):
         raise InputError(f"Invalid stress {tensor.tolist()}: it gives beam {int(np.argmin(level))} no variance.")
     place = gradient_columns(scan.geometry()) / GRADIENT_LENGTH
     relative = matrix / level[:, None]
-    if noise is not None:
+    if own is not None:
         left, seen = seen_directions(np.concatenate([relative, place], axis=1)[None])
         basis = left[0][:, seen[0]]
-        root = np.linalg.cholesky(basis.T @ np.log1p(noise.covariance[0]) @ basis)
+        root = np.linalg.cholesky(basis.T @ np.log1p(own.covariance[0]) @ basis)
         relative, place = (np.linalg.solve(root, basis.T @ columns) for columns in (relative, place))
     inverse = np.linalg.pinv(relative, rcond=_NOTHING)
     rows = []

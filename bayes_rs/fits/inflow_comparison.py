@@ -16,12 +16,13 @@ from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch, make_posterior
 from bayes_rs.fits.fit_options import FitOptions, split_options
-from bayes_rs.fits.noise_choice import given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import noise_and_records
 from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -42,15 +41,6 @@ _SAID = ("duration", "velocity_limit", LENGTH_REPORT, "instrument_noise_report")
 """Attributes of records that numbers depend on."""
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
-
-
-def given_noise(noise: Noise | str | Path | None) -> Noise | None:
-    """Return noise that is given, itself or by its file; None if it is to be made for the records."""
-    if noise is None or isinstance(noise, Noise):
-        return noise
-    from bayes_rs.noise.file import as_noise  # noqa: PLC0415 - not needed without a file
-
-    return as_noise(noise)
 
 
 def fit_inputs(records: xr.Dataset, noise: Noise | None, choice: NoiseOptions) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from bayes_rs.fits.direction_table import prior_covariances, scan_directions
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_before
 from bayes_rs.fits.noise_choice import about_probe
-from bayes_rs.fits.parts import Part, Shared, n_kept
+from bayes_rs.fits.parts import Part, Shared, batch_size, n_kept
 from bayes_rs.fits.prepare import can_be_fitted, prepare
 from bayes_rs.fits.record_beams import RecordBeams, record_beams
 from bayes_rs.geometry.forward import design_matrix, sight
@@ -32,6 +32,7 @@ from bayes_rs.options import to_plain
 from bayes_rs.posteriors.decided import PriorRoom, leading_variance
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 from bayes_rs.records.belief import doubt_lines
+from bayes_rs.sizes import check_size, check_work
 
 LAYOUT = 4
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
@@ -40,6 +41,7 @@ PART_RECORDS = 128
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
 PRIOR_SEED = 0
+_COPIES_SAMPLED, _COPIES_KEPT, _SECONDS_A_DRAW = 12.0, 3.0, 1e-5
 _NUMBERS_FROM = ("numpy", "scipy", "emcee")
 """Packages whose version can change a number."""
 
@@ -103,6 +105,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions,
         If the noise was made for another scan.
     """
     scan, noise, batch = prepare(records, scan, noise, options)
+    check_draws(len(batch), noise.n_beam, options)
     beams = record_beams(records, scan, noise, batch, options)
     parts = _parts(records, batch, beams)
     key_parts = digest_parts(
@@ -152,6 +155,23 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions,
         "beams": beams.numbers,
     }
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
+
+
+def check_draws(n_record: int, n_beam: int, options: FitOptions) -> None:
+    """Refuse so many draws of so many records that no memory holds them, or no one waits for them.
+
+    Raises
+    ------
+    InputError
+        If there are too many.
+    """
+    n_byte = 48.0 * N_CHAIN * n_kept(options)  # of a record: six stresses of each draw
+    together = min(n_record, batch_size(n_beam))
+    kept = n_record if options.keeps_draws(n_record) else together
+    what = f"The draws of {n_record} records with target_ess {options.target_ess}"
+    advice = "choose a smaller target_ess (--ess), 1000 is usual, or keep no draws (--draws none)."
+    check_size(what, n_byte * (_COPIES_SAMPLED * together + _COPIES_KEPT * kept), advice)
+    check_work(what, _SECONDS_A_DRAW * n_record * N_CHAIN * n_kept(options), advice)
 
 
 def plain_options(options: FitOptions) -> dict[str, Any]:

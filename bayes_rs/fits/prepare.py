@@ -23,13 +23,15 @@ from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, mean_of_used
 
 LEAST_NOISE = 0.5
 """Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
+LEAST_WIND, LEAST_VARIANCE = 1e-6, 1e-12
+"""m/s and m² s⁻²: what is below is none, and its squares and inverses are no numbers."""
 LEAST_OF_USUAL = 0.25
 """Share of the mean variance of a record that each of its beams is taken to have, for the error of its noise."""
 
 
 def can_be_fitted(batch: Batch) -> NDArray[np.int64]:
     """Return the numbers of the records that have a usable beam, a wind speed and a direction."""
-    return np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > 0.0) & np.isfinite(batch.yaw))
+    return np.flatnonzero(batch.used.any(axis=1) & (batch.wind_speed > LEAST_WIND) & np.isfinite(batch.yaw))
 
 
 def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) -> tuple[Scan, Noise, Batch]:
@@ -105,7 +107,7 @@ def record_yaw_sd(records: xr.Dataset, nuisances: Mapping[str, Any]) -> FloatArr
 def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
     """Return which variances of records were made of enough good samples, shape (n_record, n_beam)."""
     variance = np.asarray(records["variance"].values, dtype=np.float64)
-    return np.asarray((records["flag"].values == 0) & (variance > 0.0) & np.isfinite(variance))
+    return np.asarray((records["flag"].values == 0) & (variance > LEAST_VARIANCE) & np.isfinite(variance))
 
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:
@@ -155,7 +157,7 @@ def _common_noise_sd(records: xr.Dataset) -> FloatArray:
 
 def _with_wind(records: xr.Dataset) -> NDArray[np.bool_]:
     """Return which records have a wind, (n_record, 1)."""
-    known = (records["wind_speed"].values > 0.0) & np.isfinite(records["yaw"].values)
+    known = (records["wind_speed"].values > LEAST_WIND) & np.isfinite(records["yaw"].values)
     return np.asarray(known[:, np.newaxis])
 
 

@@ -10,15 +10,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import FloatArray, check_positive
+from bayes_rs._validation import FloatArray, as_items, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import split_options
 from bayes_rs.fits.fitting import fit, with_median_length_scale
-from bayes_rs.fits.noise_choice import given_noise, noise_and_records
+from bayes_rs.fits.noise_choice import noise_and_records
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
 from bayes_rs.records.belief import believed
@@ -82,6 +83,7 @@ def prior_sensitivity(
     1.0
     """
     own, choice = split_options({**options, "seed": seed, "draws": "float64", **_NO_CAMPAIGN})
+    factors = as_items(factors, what="factors")
     for factor in factors:
         check_positive(factor, what="factor", unit="", where="the check of the prior")
     every = sorted({1.0, *(float(factor) for factor in factors)})

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from bayes_rs._validation import FloatArray, check_choice
+from bayes_rs._validation import FloatArray, check_choice, check_prob
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.fits.fit_data import FitData
-from bayes_rs.fits.fit_options import check_prob
 from bayes_rs.fits.frames import FRAMES, to_lidar_frame
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD, summarize_draws, summary_frame
 from bayes_rs.geometry.forward import design_matrix

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, as_numbers
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 
+_LONGEST = 1e6  # entry of a beam vector, which need not be of unit length for its own sake
 RANK_TOLERANCE = 1e-9
 """A singular value below this fraction of the largest counts as zero: directions are stored to about 1e-16."""
 
@@ -54,9 +55,13 @@ def design_matrix(scan: Scan | str | Path | ArrayLike) -> FloatArray:
            [ 0.36,  0.  ,  0.64, -0.  , -0.96,  0.  ]])
     """
     scan = as_scan(scan) if isinstance(scan, str | Path) else scan
-    vectors = scan.line_of_sight if isinstance(scan, Scan) else np.asarray(scan, dtype=np.float64)
+    vectors = scan.line_of_sight if isinstance(scan, Scan) else as_numbers(scan, what="beam vectors")
     if vectors.ndim < 1 or vectors.shape[-1] != 3:
         raise InputError(f"Invalid beam vectors of shape {vectors.shape}: the last dimension must be 3.")
+    if np.any(np.abs(vectors) > _LONGEST):
+        raise InputError(
+            f"Invalid beam vectors: an entry is {np.nanmax(np.abs(vectors)):g}, and they are unit vectors."
+        )
     first, second, third = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.stack(
         [first**2, second**2, third**2, 2.0 * first * second, 2.0 * first * third, 2.0 * second * third], axis=-1
@@ -83,7 +88,10 @@ def radial_variance(scan: Scan | str | Path | ArrayLike, stress: ArrayLike) -> F
     >>> float(radial_variance([[-0.6, 0.0, 0.8]], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[0])
     1.0
     """
-    return np.asarray(stress, dtype=np.float64) @ design_matrix(scan).T
+    tensor = as_numbers(stress, what="stress")
+    if tensor.ndim == 0 or tensor.shape[-1] != len(STRESSES):
+        raise InputError(f"Invalid stress of shape {tensor.shape}: the last dimension must hold {', '.join(STRESSES)}.")
+    return tensor @ np.moveaxis(design_matrix(scan), -1, 0)
 
 
 @dataclass(frozen=True)
@@ -151,6 +159,10 @@ def sight(scan: Scan | str | Path | ArrayLike) -> Sight:
     'sees uv, uw, vw; sees uu only together with vv + ww'
     """
     matrix = design_matrix(scan)
+    if matrix.ndim != 2 or len(matrix) == 0 or not np.any(matrix) or not np.all(np.isfinite(matrix)):
+        raise InputError(
+            f"Invalid beam vectors of shape {matrix.shape[:-1]}: give a list of finite ones, not all zero."
+        )
     _, singular, basis = np.linalg.svd(matrix, full_matrices=True)
     rank = int(np.count_nonzero(singular > RANK_TOLERANCE * singular[0]))
     return Sight(rank, float(singular[0] / singular[rank - 1]), _echelon(basis[rank:]))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_array, check_finite, check_positive
+from bayes_rs._validation import FloatArray, as_whole_numbers, check_array, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
 
@@ -151,13 +151,15 @@ class Scan:
         duration = check_positive(self.scan_duration, what="scan_duration", unit="s", where=f"scan {self.name!r}")
         if np.any(time < 0.0) or np.any(time >= duration):
             raise InputError(f"Invalid beam_time in scan {self.name!r}: every time must be in [0, {duration:g}) s.")
-        beam = np.asarray(self.beam, dtype=np.int64) if len(self.beam) else np.arange(n_beam, dtype=np.int64)
+        given = as_whole_numbers(self.beam, what=f"beam numbers of scan {self.name!r}")
+        beam = given if np.size(given) else np.arange(n_beam, dtype=np.int64)
         if beam.shape != (n_beam,) or len(np.unique(beam)) != n_beam:
             raise InputError(
                 f"Invalid beam numbers {beam.tolist()} in scan {self.name!r}: one for each beam, all different."
             )
-        check_finite(self.tilt, what="tilt", unit="rad", where=f"scan {self.name!r}")
-        check_finite(self.yaw, what="yaw", unit="rad", where=f"scan {self.name!r}")
+        for key in ("tilt", "yaw"):
+            angle = check_finite(getattr(self, key), what=key, unit="rad", where=f"scan {self.name!r}")
+            object.__setattr__(self, key, angle)
         if not isinstance(self.probe, Probe):
             raise InputError(
                 f"Invalid probe {self.probe!r} of scan {self.name!r}: it must be a Probe, as make_probe returns it."
@@ -221,7 +223,7 @@ class Scan:
         InputError
             If it is not finite.
         """
-        return replace(self, yaw=float(yaw))
+        return replace(self, yaw=yaw)
 
     def select(self, beams: ArrayLike) -> Scan:
         """Return the scan with only the beams whose numbers are given, in that order.
@@ -241,7 +243,9 @@ class Scan:
         InputError
             If a number is not one of this scan's beams.
         """
-        wanted = np.atleast_1d(np.asarray(beams, dtype=np.int64))
+        wanted = np.atleast_1d(as_whole_numbers(beams, what="beams"))
+        if len(wanted) == 0:
+            raise InputError(f"No beam of scan {self.name!r} is selected: name at least one of {self.beam.tolist()}.")
         for number in wanted.tolist():
             if number not in self.beam:
                 raise InputError(f"Unknown beam {number} in scan {self.name!r}: its beams are {self.beam.tolist()}.")

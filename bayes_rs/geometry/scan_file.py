@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from bayes_rs._validation import FloatArray, check_count
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, as_numbers, check_count, check_finite, check_switch
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.file_options import OF_READING, FileOptions
 from bayes_rs.geometry.probe import Probe, make_probe
 from bayes_rs.geometry.scan import Scan
@@ -252,6 +252,11 @@ def load_scan(
     >>> load_scan("spinnerlidar").probe_length[0].round(2), load_scan("spinnerlidar@probe=point").probe
     (np.float64(1.72), PointProbe())
     """
+    for what, angle in (("opening_angle_deg", opening_angle_deg), ("tilt_deg", tilt_deg), ("yaw_deg", yaw_deg)):
+        if angle is not None:
+            check_finite(angle, what=what, unit="degrees")
+    if centre is not None:
+        check_switch(centre, what="centre")
     base, changes = split_changes(name)
     if changes:
         given = _given(
@@ -308,23 +313,30 @@ def as_probe(probe: str | Probe) -> Probe:
     """Return the probe volume that `probe` means: ``"point"``, the name of a scan that has one, or a probe."""
     if isinstance(probe, Probe):
         return probe
+    if not isinstance(probe, (str, Path)):
+        raise InputError(
+            f"Invalid probe {in_short(probe)}: give 'point', a scan that has one, or what make_probe returns."
+        )
     if probe == "point":
         return make_probe(probe)
     try:
         found = load_scan(probe).probe
     except InputError as error:
         raise InputError(
-            f"Invalid probe {probe!r}: it must be 'point', a scan that has one, or what make_probe returns. {error}"
+            f"Invalid probe {in_short(probe)}: it must be 'point', a scan that has one, or what make_probe "
+            f"returns. {error}"
         ) from error
     if found == make_probe("point"):
-        raise InputError(f"Invalid probe {probe!r}: that scan has no probe volume; write 'point' if none is meant.")
+        raise InputError(
+            f"Invalid probe {in_short(probe)}: that scan has no probe volume; write 'point' if none is meant."
+        )
     return found
 
 
 def _as_list(value: float | Sequence[float] | None) -> list[float] | None:
     if value is None:
         return None
-    return [float(item) for item in np.atleast_1d(np.asarray(value, dtype=np.float64))]
+    return [float(item) for item in np.ravel(as_numbers(value, what="focus_distance"))]
 
 
 def _read_table(path: Path, deeper: int = 0) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, as_numbers
 from bayes_rs.errors import InputError
 
 STRESSES: tuple[str, ...] = ("uu", "vv", "ww", "uv", "uw", "vw")
@@ -38,7 +38,7 @@ def pack_stress(tensor: ArrayLike) -> FloatArray:
     >>> pack_stress([[1.8, 0.1, -0.4], [0.1, 0.9, 0.0], [-0.4, 0.0, 0.5]])
     array([ 1.8,  0.9,  0.5,  0.1, -0.4,  0. ])
     """
-    array = np.asarray(tensor, dtype=np.float64)
+    array = as_numbers(tensor, what="tensor")
     if array.shape[-2:] != (3, 3):
         raise InputError(f"Invalid tensor of shape {array.shape}: the last two dimensions must be 3 and 3.")
     if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=1e-12, atol=1e-12 * np.max(np.abs(array), initial=0.0)):
@@ -71,7 +71,7 @@ def unpack_stress(stress: ArrayLike) -> FloatArray:
            [ 0.1,  0.9,  0. ],
            [-0.4,  0. ,  0.5]])
     """
-    array = np.asarray(stress, dtype=np.float64)
+    array = as_numbers(stress, what="stress")
     if array.ndim == 0 or array.shape[-1] != len(STRESSES):
         raise InputError(f"Invalid stress of shape {array.shape}: the last dimension must hold {', '.join(STRESSES)}.")
     tensor = np.empty((*array.shape[:-1], 3, 3))
@@ -99,8 +99,10 @@ def rotate_stress(stress: ArrayLike, rotation: ArrayLike) -> FloatArray:
     -----
     n'·R'n' = n T Tᵀ R T Tᵀ nᵀ = n·R n: a rotation of beams and tensor together changes no radial variance.
     """
-    matrix = np.asarray(rotation, dtype=np.float64)
-    rotated = np.swapaxes(matrix, -1, -2) @ unpack_stress(stress) @ matrix
+    matrix, tensor = as_numbers(rotation, what="rotation"), unpack_stress(stress)
+    if matrix.shape[-2:] != (3, 3):
+        raise InputError(f"Invalid rotation of shape {matrix.shape}: the last two dimensions must be 3 and 3.")
+    rotated = np.swapaxes(matrix, -1, -2) @ tensor @ matrix
     return rotated[..., _ROW, _COLUMN]
 
 

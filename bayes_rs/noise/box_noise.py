@@ -38,6 +38,7 @@ class Boxes:
     def __post_init__(self) -> None:
         """Check the number of boxes."""
         check_count(self.n_boxes, what="n_boxes", minimum=2)
+        as_generator(self.seed)
 
 
 def noise_from_boxes(

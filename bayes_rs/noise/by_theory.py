@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_finite, check_non_negative, check_positive
+from bayes_rs._validation import FloatArray, check_finite, check_non_negative, check_positive, check_switch
 from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import PROBE_ERROR, PointProbe
@@ -109,6 +109,7 @@ def theory_noise(
     scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
+    check_switch(sonic, what="sonic")
     promised, resolution = resolution_for(tolerance, turbulence.gamma)
     angle = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad")
     line_of_sight, geometry = scan.at_yaw(angle), scan.geometry()

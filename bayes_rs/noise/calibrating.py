@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from bayes_rs._validation import FloatArray, check_array, check_choice
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, check_array, check_choice, check_positive, check_switch
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.at_states import noise_at_states
@@ -130,6 +130,9 @@ def calibrate(
     (3, True)
     """
     scan, turbulence = as_scan(scan), as_turbulence(turbulence)
+    check_switch(sonic, what="sonic")
+    if not isinstance(cache, (bool, str, Path)):
+        raise InputError(f"Invalid cache {in_short(cache)}: it must be True, False or a folder.")
     boxes = method if isinstance(method, Boxes) else None
     if boxes is None and check_choice(str(method), METHODS, what="method of calibration") == "boxes":
         boxes = Boxes()
@@ -153,8 +156,8 @@ def calibrate(
             records,
             scan.select(records["beam"].values) if "beam" in records.coords else scan,
             turbulence,
-            length_scale=_range(length_scale),
-            gamma=_range(gamma),
+            length_scale=_range(length_scale, "length_scale"),
+            gamma=_range(gamma, "gamma"),
             tolerance=TOLERANCE if tolerance is None else tolerance,
             **common,
         )
@@ -162,14 +165,15 @@ def calibrate(
         return refined_noise(
             scan,
             turbulence,
-            wind_speed=_range(wind_speed) or (),
-            yaw_deg=_range(yaw_deg),
-            length_scale=_range(length_scale),
-            gamma=_range(gamma),
+            wind_speed=_range(wind_speed, "wind_speed") or (),
+            yaw_deg=_range(yaw_deg, "yaw_deg"),
+            length_scale=_range(length_scale, "length_scale"),
+            gamma=_range(gamma, "gamma"),
             duration=duration,
             tolerance=tolerance,
             **common,
         )
+    check_positive(duration, what="duration", unit="s")
     speeds = _numbers(wind_speed, 0.0, "wind_speed")
     yaws = np.array([scan.yaw]) if yaw_deg is None else np.deg2rad(_numbers(yaw_deg, 0.0, "yaw_deg"))
     flows = [
@@ -196,5 +200,5 @@ def _numbers(values: ArrayLike | None, default: float, name: str) -> FloatArray:
     return numbers
 
 
-def _range(values: float | Sequence[float] | None) -> list[float] | None:
-    return None if values is None else [float(value) for value in np.atleast_1d(np.asarray(values, dtype=np.float64))]
+def _range(values: float | Sequence[float] | None, name: str) -> list[float] | None:
+    return None if values is None else [float(value) for value in _numbers(values, 0.0, name)]

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, check_array
+from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
@@ -93,6 +94,11 @@ def corner(
 
     index = fit.find_record(record)
     posterior, prior = _draws(fit, index)
+    if len(posterior) <= len(STRESSES):
+        raise InputError(
+            f"Record {index} has {len(posterior)} draws, and a corner plot needs more than {len(STRESSES)}: fit again "
+            "with a larger target_ess (--ess)."
+        )
     marks = None if truth is None else check_array(truth, (6,), what="truth")
     ranges = default_limits([posterior, prior]) if limits is None else check_array(limits, (6, 2), what="limits")
     target = figure if figure is not None else Figure(figsize=(10.5, 10.5))

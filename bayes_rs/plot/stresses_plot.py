@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fit_options import check_prob
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR, known_stresses
 

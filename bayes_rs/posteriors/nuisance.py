@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, as_number, check_choice, check_non_negative, check_positive
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.inflow import GRADIENT_LENGTH, gradient_columns
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
 from bayes_rs.geometry.stress import rotate_stress
@@ -135,9 +135,10 @@ class Nuisances:
                     "uncertain length scale; say how uncertain it is (--length-scale-sd), or leave it out."
                 )
         check_positive(self.inflation, what="inflation", unit="", where="the nuisances")
-        if not self.inflation_dof > 2.0:
+        if not as_number(self.inflation_dof) > 2.0:
             raise InputError(
-                f"Invalid inflation_dof {self.inflation_dof!r}: it must be above 2, for the noise to have a variance."
+                f"Invalid inflation_dof {in_short(self.inflation_dof)}: it must be above 2, for the noise to have a "
+                "variance."
             )
 
     @property

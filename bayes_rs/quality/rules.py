@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_rs._validation import check_choice, check_count, check_finite, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option
 from bayes_rs.quality.sectors import Sector
 
@@ -113,6 +113,9 @@ class QualityRules:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
+        for name in ("blocked_sectors", "wind_sectors"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise InputError(f"Invalid {name} {in_short(getattr(self, name))}: it must be a mapping.")
         for name, unit in (("cnr_range", "dB"), ("snr_range", "dB"), ("velocity_range", "m/s")):
             put(name, _window(getattr(self, name), what=name, unit=unit))
         if self.blade_frequency is not None:
@@ -194,15 +197,15 @@ def _pair(value: Any, *, what: str, unit: str) -> Pair:
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low < high:
-        raise InputError(f"Invalid {what} {value!r} {unit}: it must be a pair (low, high) with low < high.")
+        raise InputError(f"Invalid {what} {in_short(value)} {unit}: it must be a pair (low, high) with low < high.")
     return low, high
 
 
 def _beam(key: Any, *, what: str) -> int:
     try:
         return int(key)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"Invalid beam {key!r} in {what}: it must be a beam number, as 0.") from error
+    except (OverflowError, TypeError, ValueError) as error:
+        raise InputError(f"Invalid beam {in_short(key)} in {what}: it must be a beam number, as 0.") from error
 
 
 def _window(value: Any, *, what: str, unit: str) -> Window | None:
@@ -218,13 +221,13 @@ def _numbers(value: Any, *, what: str) -> float | tuple[float, ...]:
     if np.ndim(value) == 0:
         return check_finite(value, what=what, unit="")
     if len(value) == 0:
-        raise InputError(f"Invalid {what} {value!r}: it must hold at least one number, or be left out.")
+        raise InputError(f"Invalid {what} {in_short(value)}: it must hold at least one number, or be left out.")
     return tuple(check_finite(one, what=what, unit="") for one in value)
 
 
 def _names(value: Any, *, what: str) -> tuple[str, ...]:
-    if isinstance(value, str) or not all(isinstance(name, str) for name in value):
-        raise InputError(f"Invalid {what} {value!r}: it must be a sequence of names, as ({'rain'!r},).")
+    if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be a sequence of names, as ({'rain'!r},).")
     return tuple(value)
 
 
@@ -234,5 +237,7 @@ def _sectors(value: Any) -> tuple[Sector, ...]:
     except (TypeError, ValueError):
         sectors = ((np.nan, np.nan),)
     if not np.isfinite(np.array(sectors)).all():
-        raise InputError(f"Invalid sectors {value!r}: each must be a pair (first, last) of degrees, as [(350, 10)].")
+        raise InputError(
+            f"Invalid sectors {in_short(value)}: each must be a pair (first, last) of degrees, as [(350, 10)]."
+        )
     return sectors

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.records.layout import check_layout
 
 
@@ -53,10 +53,10 @@ def availability_table(records: xr.Dataset, *, every: str = "1h") -> pd.DataFram
         raise InputError("The records have no records_report, which says how many samples to expect: make them again.")
     try:
         step = pd.Timedelta(every)
-    except ValueError as error:
-        raise InputError(f"Invalid every {every!r}: it must be a length of time, as '1h' or '1D'.") from error
+    except (OverflowError, TypeError, ValueError) as error:
+        raise InputError(f"Invalid every {in_short(every)}: it must be a length of time, as '1h' or '1D'.") from error
     if not step > pd.Timedelta(0):
-        raise InputError(f"Invalid every {every!r}: it must be longer than zero, as '1h' or '1D'.")
+        raise InputError(f"Invalid every {in_short(every)}: it must be longer than zero, as '1h' or '1D'.")
     n_record, n_beam = records.sizes["record"], records.sizes["beam"]
     rows = pd.DataFrame(
         {

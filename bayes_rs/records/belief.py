@@ -89,7 +89,7 @@ def believed(records: xr.Dataset) -> xr.Dataset:
         if name not in records or records[name].dtype.kind not in "iuf":
             continue
         values = np.asarray(records[name].values, dtype=np.float64)
-        used = ~np.isnan(values) if name in _OF_RECORD else np.isfinite(values)
+        used = ~np.isnan(values)
         if "flag" in records and records["flag"].dims == records[name].dims:
             used &= np.asarray(records["flag"].values == 0)
         bad = used & (np.abs(values) > most)

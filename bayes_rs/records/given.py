@@ -22,6 +22,12 @@ def check_are_records(records: xr.Dataset) -> None:
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
     check_layout(records, "variance", "beam")
+    if records.sizes.get("record") == 0:
+        raise InputError("There is no record: the series is shorter than one averaging period.")
+    if records.sizes.get("beam") == 0:
+        raise InputError(
+            "Invalid records: they hold no beam; select at least one, or make them again with make_records."
+        )
 
 
 def check_is_series(series: xr.Dataset) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_rs._validation import check_count, check_finite, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, from_plain, option
 
 if TYPE_CHECKING:
@@ -82,7 +82,8 @@ class RecordOptions:
         put("motion", (self.motion,) if isinstance(self.motion, (str, Path)) else tuple(self.motion))
         if not isinstance(self.motion_columns, Mapping):
             raise InputError(
-                f"Invalid motion_columns {self.motion_columns!r}: it must be a mapping, as {{'tilt_deg': 'Tilt'}}."
+                f"Invalid motion_columns {in_short(self.motion_columns)}: it must be a mapping, as "
+                "{'tilt_deg': 'Tilt'}."
             )
         put("motion_columns", dict(self.motion_columns))
         if self.motion_columns and not self.motion:

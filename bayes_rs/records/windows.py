@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.quality.belief import BoolArray
+from bayes_rs.sizes import check_size
 
 IntArray = NDArray[np.int64]
 
@@ -15,7 +16,8 @@ LONGEST_GAP_DAYS = 30
 """Days without any sample beyond which a gap holds no records."""
 
 _GAP = LONGEST_GAP_DAYS * 86_400_000_000_000  # ns
-_MOST_ENTRIES = 100_000_000
+_MOST_ENTRIES, _FEW_ENTRIES = 100_000_000, 100_000
+_BYTES_AN_ENTRY = 500.0  # numbers, octaves, parts and blocks of a beam in a record, and copies
 _CUT = 1.5
 """Cycles without a sample at the end of a record after which the data are taken to begin or end within it."""
 
@@ -46,12 +48,15 @@ def record_windows(number: IntArray, window: int, n_beam: int) -> IntArray:
     ends = np.flatnonzero(np.diff(there) > max(_GAP // window, 2))
     first, last = there[np.append(0, ends + 1)], there[np.append(ends, len(there) - 1)]
     n_record = int((last - first + 1).sum())
-    if n_record * n_beam > _MOST_ENTRIES:
+    if n_record * n_beam > _FEW_ENTRIES:
         begin, end = (str(np.datetime64(int(edge) * window // 10**9, "s")) for edge in (there[0], there[-1]))
-        raise InputError(
-            f"The series from {begin} to {end} holds {n_record} records of {window / 1e9:g} s: more than "
-            f"{_MOST_ENTRIES} entries with all beams; check its first and last times, or give a longer duration."
-        )
+        told = f"The series from {begin} to {end} holds {n_record} records of {window / 1e9:g} s"
+        if n_record * n_beam > _MOST_ENTRIES:
+            raise InputError(
+                f"{told}: more than {_MOST_ENTRIES} entries with all beams; check its first and last times, or give a "
+                "longer duration."
+            )
+        check_size(f"{told}, which", n_record * n_beam * _BYTES_AN_ENTRY, "check its times, or give a longer duration.")
     return np.concatenate([np.arange(a, b + 1) for a, b in zip(first.tolist(), last.tolist(), strict=True)])
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
@@ -105,7 +105,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         If the fit kept no draws and another probability is asked for.
     """
     own = fit.settings["fit"]
-    if prob is not None and prob != own["prob"] and not fit.has_draws:
+    if prob is not None and check_prob(prob) != own["prob"] and not fit.has_draws:
         raise InputError(
             f"Invalid prob {prob!r}: the fit kept no draws, and its summary holds intervals of {own['prob']:g}; leave "
             "it out, or fit again with --prob."

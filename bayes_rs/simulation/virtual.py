@@ -32,6 +32,7 @@ from bayes_rs.geometry.stress import pack_stress
 from bayes_rs.progress import progress
 from bayes_rs.simulation.boxes import Box, BoxGrid, BoxMaker, choose_grid, generator_name
 from bayes_rs.simulation.lines import LineMaker
+from bayes_rs.sizes import check_size
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
 FIRST_RECORD = np.datetime64("2000-01-01T00:00:00", "ns")
@@ -39,6 +40,8 @@ FIRST_RECORD = np.datetime64("2000-01-01T00:00:00", "ns")
 
 _POINT = PointProbe()
 
+_BYTES_A_SAMPLE = 72.0
+"""What a simulated sample takes while the series is put in order: velocity, time, beam, and their sorted copies."""
 _LEVELS_AT_ONCE = 16
 """How many heights are interpolated in one matrix product: enough to be fast, few enough to need little memory."""
 
@@ -452,6 +455,11 @@ def simulate(
     count = check_count(n_records, what="n_records")
     gradient = check_finite(shear, what="shear", unit="1/s")
     state = RecordState(scan, wind_speed, scan.yaw, duration)
+    check_size(
+        f"{count} records of {scan.n_beam} beams with {state.n_sample} samples each",
+        float(count) * scan.n_beam * state.n_sample * _BYTES_A_SAMPLE,
+        "simulate fewer records, or shorter ones.",
+    )
     fluctuation, truth = SIMULATORS[method](state, turbulence, count, as_generator(seed))
     truth = {**truth, "wind_speed": float(wind_speed), "duration": float(duration), "shear": gradient}
     mean_wind = wind_speed + gradient * state.focus[:, 2]

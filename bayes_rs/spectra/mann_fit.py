@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from bayes_rs._validation import FloatArray, check_choice, check_count, check_non_negative, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, as_numbers, check_choice, check_count, check_log_normal, check_non_negative
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.progress import progress as progress_bar
@@ -133,8 +133,9 @@ def fit_spectra(
     used = scan.select(spectra["beam"].values)
     kept = _fitted_beams(used.n_beam, beams, max_beams)
     gammas = _gammas(gamma)
-    median = check_positive(length_scale_prior[0], what="length_scale_prior", unit="m", where="its median")
-    width = check_positive(length_scale_prior[1], what="length_scale_prior", unit="", where="its width")
+    median, width = check_log_normal(
+        length_scale_prior, what="length_scale_prior", unit="m", width="length_scale_log_sd"
+    )
     check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
     if instrument_noise_sd is not None:
         check_non_negative(instrument_noise_sd, what="instrument_noise_sd", unit="m² s⁻²")
@@ -196,9 +197,9 @@ def _fitted_beams(n_beam: int, beams: str, max_beams: int) -> NDArray[np.int64]:
 
 
 def _gammas(gamma: ArrayLike) -> FloatArray:
-    gammas = np.atleast_1d(np.asarray(gamma, dtype=np.float64))
+    gammas = np.atleast_1d(as_numbers(gamma, what="gamma"))
     if gammas.ndim != 1 or not np.all(np.isfinite(gammas) & (gammas >= 0.0)) or len(np.unique(gammas)) != len(gammas):
-        raise InputError(f"Invalid gamma {gamma!r}: it must be a number, zero or above, or different ones.")
+        raise InputError(f"Invalid gamma {in_short(gamma)}: it must be a number, zero or above, or different ones.")
     return gammas
 
 

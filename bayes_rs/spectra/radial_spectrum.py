@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from bayes_rs._validation import FloatArray, check_count, check_positive
+from bayes_rs._validation import FloatArray, check_count, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
@@ -161,8 +161,7 @@ def average_spectra(
     """
     check_spectra(spectra)
     check_count(bins_per_decade, what="bins_per_decade")
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
+    check_prob(prob)
     some = spectra if records is None else spectra.isel(record=records)
     frequency = some["frequency"].values
     place = np.floor(np.log10(frequency / frequency[0]) * bins_per_decade + 1e-9).astype(np.int64)
@@ -205,7 +204,7 @@ def average_spectra(
             "frequency": ("bin", np.bincount(bin_of, weights=frequency) / size, {"units": "Hz"}),
             "beam": ("beam", some["beam"].values),
         },
-        attrs={**spectra.attrs, "prob": check_positive(prob, what="prob", unit="")},
+        attrs={**spectra.attrs, "prob": check_prob(prob)},
     )
 
 

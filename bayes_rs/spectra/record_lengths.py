@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_log_normal, check_non_negative
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.by_theory import theory_noise
@@ -106,8 +106,9 @@ def with_own_length_scale(
     True
     """
     of_records = as_scan(scan).select(records["beam"].values)
+    check_non_negative(gamma, what="gamma", unit="")
     known = known_noise(records, instrument_noise)
-    prior = (float(length_scale_prior[0]), float(length_scale_prior[1]))
+    prior = check_log_normal(length_scale_prior, what="length_scale_prior", unit="m", width="length_scale_log_sd")
     rows, octaves = _octaves(records, of_records, gamma)
     log_density = np.zeros((records.sizes["record"], len(length_nodes())))
     told: ToldNoise | None = None

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_choice, check_non_negative
 from bayes_rs.spectra.octave_likelihood import Octaves, averaged
 from bayes_rs.spectra.octave_theory import length_nodes
 from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, TELLS, PooledNoise, pool_noise
@@ -29,7 +29,10 @@ _FEW = 20  # records whose distribution of L is hardly more than each one's own
 def known_noise(records: xr.Dataset, instrument_noise: float | str) -> FloatArray | None:
     """Return the instrument's noise in each record, (n_record,), m² s⁻²; None if it is to be told by the records."""
     if not isinstance(instrument_noise, str):
-        return np.full(records.sizes["record"], float(instrument_noise))
+        return np.full(
+            records.sizes["record"], check_non_negative(instrument_noise, what="instrument_noise", unit="m² s⁻²")
+        )
+    check_choice(instrument_noise, ("records",), what="instrument_noise")
     if NOISE not in records:
         return None
     return mean_of_used(records, NOISE)

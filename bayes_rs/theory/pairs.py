@@ -9,8 +9,36 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.sizes import check_size, check_work
 
 _SAME = 1e-9  # pairs whose separations (m) and directions agree to this are computed once
+
+
+_BYTES_A_PAIR, _BYTES_A_LAG, _BYTES_AN_ENTRY = 600.0, 200.0, 40.0
+_SECONDS_A_LAG, _SECONDS_A_PROBED_PAIR = 2e-7, 7e-4
+
+
+def seconds_of_pairs(scan: Scan, n_sample: float) -> float:
+    """Estimate the time that the covariances of all pairs of a scan's beams take, s: each pair has 2N − 1 lags."""
+    n_pair = scan.n_beam * (scan.n_beam + 1) / 2.0
+    of_probes = _SECONDS_A_PROBED_PAIR if np.any(scan.probe_length > 0.0) else 0.0
+    return float(n_pair * (2.0 * n_sample * _SECONDS_A_LAG + of_probes))
+
+
+def check_pairs(scan: Scan, n_sample: float) -> None:
+    """Refuse a scan and a number of samples of each beam whose covariances no memory holds, or no one waits for.
+
+    Raises
+    ------
+    InputError
+        If the lags of one pair of beams, or the pairs, are too many.
+    """
+    n_pair = scan.n_beam * (scan.n_beam + 1) / 2.0
+    n_byte = n_pair * _BYTES_A_PAIR + 2.0 * n_sample * _BYTES_A_LAG + float(scan.n_beam) ** 2 * _BYTES_AN_ENTRY
+    what = f"The covariances of {scan.n_beam} beams with {n_sample:.4g} samples each, of scan {scan.name!r},"
+    advice = "choose a shorter duration, a longer scan_duration or fewer beams."
+    check_size(what, n_byte, advice)
+    check_work(what, seconds_of_pairs(scan, n_sample), advice)
 
 
 class Pairs(NamedTuple):

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.theory.pairs import check_pairs
 from bayes_rs.turbulence.toeplitz import DETRENDING
 
 _ROUNDING = 1e-9  # of a sampling interval: whether the last sample is still inside the record
@@ -49,9 +50,10 @@ def sample_counts(scan: Scan, duration: float, detrend: str = "mean") -> NDArray
     Raises
     ------
     InputError
-        If a beam has no more samples than the detrending takes out.
+        If a beam has no more samples than the detrending takes out, or all have too many for their covariances.
     """
     removed = samples_removed(detrend)
+    check_pairs(scan, duration / scan.scan_duration)
     count = samples_that_fit(duration - scan.beam_time, scan.scan_duration)
     for index in np.flatnonzero(count <= removed):
         raise InputError(

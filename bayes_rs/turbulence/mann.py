@@ -43,7 +43,8 @@ class MannTurbulence:
     Raises
     ------
     InputError
-        If a parameter is not finite, dissipation or length_scale is not positive, or gamma is negative.
+        If a parameter is no number, dissipation or length_scale is not positive, gamma is negative, or one of them is
+        beyond what any flow has.
 
     References
     ----------
@@ -64,9 +65,12 @@ class MannTurbulence:
     def __post_init__(self) -> None:
         """Check the parameters."""
         where = f"turbulence {self.name!r}"
-        check_positive(self.dissipation, what="dissipation", unit="m^(4/3) s^-2", where=where)
-        check_positive(self.length_scale, what="length_scale", unit="m", where=where)
-        check_non_negative(self.gamma, what="gamma", unit="", where=where)
+        for name, check, unit in (
+            ("dissipation", check_positive, "m^(4/3) s^-2"),
+            ("length_scale", check_positive, "m"),
+            ("gamma", check_non_negative, ""),
+        ):
+            object.__setattr__(self, name, check(getattr(self, name), what=name, unit=unit, where=where))
 
     @property
     def velocity_scale(self) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from bayes_rs._validation import FloatArray, check_non_negative, check_positive
+from bayes_rs._validation import FloatArray, as_numbers, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.turbulence.spectral_tensor import Components, lifetime_shape, scaled_tensor
 
@@ -183,7 +183,7 @@ def one_point_spectra(wave_number: ArrayLike, *, dissipation: float, length_scal
     check_positive(dissipation, what="dissipation", unit="m^(4/3) s^-2")
     check_positive(length_scale, what="length_scale", unit="m")
     check_non_negative(gamma, what="gamma", unit="")
-    k1 = np.asarray(wave_number, dtype=np.float64)
+    k1 = as_numbers(wave_number, what="wave_number")
     if k1.ndim != 1 or not np.all((k1 > 0.0) & np.isfinite(k1)):
         raise InputError("Invalid wave_number: k1 must be a list of finite numbers above zero, rad/m.")
     scaled = isotropic_spectra(k1 * length_scale)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from bayes_rs._validation import FloatArray, check_non_negative, check_positive
+from bayes_rs._validation import FloatArray, as_numbers, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 
 _ALONG, _ALL = 1.0 / 3.0, 2.5  # the two arguments of the incomplete beta function in the eddy lifetime
@@ -59,7 +59,7 @@ def eddy_lifetime(wave_number: ArrayLike, *, gamma: float) -> FloatArray:
     1.0000000000...
     """
     check_non_negative(gamma, what="gamma", unit="")
-    x = np.asarray(wave_number, dtype=np.float64)
+    x = as_numbers(wave_number, what="wave_number")
     if not np.all((x > 0.0) & np.isfinite(x)):
         raise InputError("Invalid wave_number: |k|L must be finite and above zero everywhere.")
     return gamma * lifetime_shape(x)
@@ -179,7 +179,7 @@ def spectral_tensor(wave_vector: ArrayLike, *, dissipation: float, length_scale:
     check_positive(dissipation, what="dissipation", unit="m^(4/3) s^-2")
     check_positive(length_scale, what="length_scale", unit="m")
     check_non_negative(gamma, what="gamma", unit="")
-    k = np.asarray(wave_vector, dtype=np.float64)
+    k = as_numbers(wave_vector, what="wave_vector")
     if k.ndim == 0 or k.shape[-1] != 3:
         raise InputError(f"Invalid wave_vector of shape {k.shape}: the last dimension must hold k1, k2 and k3.")
     if not np.all(np.isfinite(k)):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from bayes_rs._validation import FloatArray, check_array, check_positive
+from bayes_rs._validation import FloatArray, as_numbers, check_array, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES, unpack_stress
 from bayes_rs.turbulence.isotropic import isotropic_covariance, isotropic_cross_spectra, isotropic_radial
@@ -128,7 +128,7 @@ def velocity_covariance(
     array([0.797, 0.174, 0.063])
     """
     turbulence = as_turbulence(turbulence)
-    r = np.asarray(separation, dtype=np.float64)
+    r = as_numbers(separation, what="separation")
     if r.ndim == 0 or r.shape[-1] != 3:
         raise InputError(f"Invalid separation of shape {r.shape}: the last dimension must hold x, y and z.")
     flat = check_array(r.reshape(-1, 3), (None, 3), what="separation") / turbulence.length_scale
@@ -248,7 +248,7 @@ def cross_spectra(
     array([12.2,  8.1,  4.2])
     """
     turbulence = as_turbulence(turbulence)
-    k1 = np.asarray(wave_number, dtype=np.float64) * turbulence.length_scale
+    k1 = as_numbers(wave_number, what="wave_number") * turbulence.length_scale
     if k1.ndim != 1 or not np.all((k1 > 0.0) & np.isfinite(k1)):
         raise InputError("Invalid wave_number: k1 must be a list of finite numbers above zero, rad/m.")
     y, z = check_array(separation, (2,), what="separation") / turbulence.length_scale
@@ -334,6 +334,7 @@ class CovarianceTable:
 def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) -> CovarianceTable:
     """Return the table that holds all `separation`, shape (n, 3) in L; built once for each Γ and reach."""
     resolution_for(tolerance, gamma)
+    tolerance = float(tolerance)
     reach = np.max(np.abs(separation), axis=0, initial=1e-3)
     along = max(float(reach[0]), _LEAST_REACH[0])
     across = max(float(np.hypot(reach[1], reach[2])), _LEAST_REACH[1])

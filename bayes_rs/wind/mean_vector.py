@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_array
+from bayes_rs._validation import FloatArray, as_numbers, check_array, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
@@ -99,6 +99,7 @@ def mean_wind(
     turbulence = None if turbulence is None else as_turbulence(turbulence)
     scan = check_records(records, scan)
     records = believed(records)
+    check_switch(vertical, what="vertical")
     weight = None if weights is None else _checked_weights(weights, scan.n_beam)
     direction = record_direction(records, scan)
     mean = np.asarray(records["mean"].values, dtype=np.float64)
@@ -183,7 +184,7 @@ def _with_direction(records: xr.Dataset, heading_deg: ArrayLike | None) -> xr.Da
     if heading_deg is None and "heading" not in records:
         return records
     given = records["heading"].values if heading_deg is None else heading_deg
-    heading = np.asarray(given, dtype=np.float64)
+    heading = as_numbers(given, what="heading_deg")
     if heading.shape not in ((), (records.sizes["record"],)):
         raise InputError(
             f"Invalid heading_deg of shape {heading.shape}: it must be one number, or one for each of the "

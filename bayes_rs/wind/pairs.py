@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
-from bayes_rs.errors import InputError
+from bayes_rs._validation import FloatArray, as_items, check_choice, check_finite, check_positive
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import unpack_stress
@@ -256,10 +256,13 @@ def _pairs(scan: Scan, plane: str, numbers: Sequence[tuple[int, int]] | None) ->
             raise InputError(f"Scan {scan.name!r} has no {plane} pair of beams: name the beams with pairs=[(a, b)].")
     else:
         at = {int(number): place for place, number in enumerate(scan.beam)}
+        numbers = as_items(numbers, what="pairs")
+        if not numbers:
+            raise InputError("Invalid pairs (): name at least one, as [(0, 1)], or leave it out.")
         for pair in numbers:
-            if len(pair) != 2 or any(number not in at for number in pair):
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2 or any(number not in [*at] for number in pair):
                 raise InputError(
-                    f"Invalid pair {tuple(pair)!r} of scan {scan.name!r}: give two of its beams, {scan.beam.tolist()}."
+                    f"Invalid pair {in_short(pair)} of scan {scan.name!r}: give two of its beams, {scan.beam.tolist()}."
                 )
         places = [(at[first], at[second]) for first, second in numbers]
     found = []

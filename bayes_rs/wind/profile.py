@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive
+from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.attitude import record_direction
 from bayes_rs.geometry.scan import Scan
@@ -140,6 +140,7 @@ def wind_profile(
     """
     scan, turbulence = as_scan(scan), as_turbulence(turbulence)
     chosen = LAWS[check_choice(law, tuple(LAWS), what="law of the profile")]
+    check_switch(veer, what="veer")
     hub = check_positive(hub_height, what="hub_height", unit="m")
     reference = hub if reference_height is None else check_positive(reference_height, what="reference_height", unit="m")
     own = check_non_negative(beam_sd, what="beam_sd", unit="m/s")

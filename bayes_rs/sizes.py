@@ -1,0 +1,150 @@
+"""How large work is before it starts: what needs more memory than there is, or more time than anyone has, is refused.
+
+Sizes are estimated by simple formulas beside the work, and need not be right to more than a factor of two or so.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+from contextlib import suppress
+from pathlib import Path
+
+from bayes_rs.errors import InputError
+
+MOST_SECONDS = 30 * 86_400.0
+"""Time of one processor that a single piece of work may take: a month. What takes more is a mistake."""
+MOMENT = 5.0
+"""Seconds up to which a plan computes what it could also only announce."""
+_SHARE = 0.8
+"""Of the free memory that work may take: estimates are rough, and others need some."""
+_GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+def check_size(what: str, n_byte: float, advice: str) -> None:
+    """Refuse what does not fit into memory.
+
+    Parameters
+    ----------
+    what : str
+        What would fill the memory, in the plural, with the numbers that make it large.
+    n_byte : float
+        Bytes that it takes at its largest.
+    advice : str
+        What to do.
+
+    Raises
+    ------
+    InputError
+        If it is more than most of what is free.
+
+    Examples
+    --------
+    >>> check_size("A thousand numbers", 8e3, "take fewer.")
+    """
+    if n_byte < _SMALL:
+        return
+    free = free_memory()
+    if n_byte > _SHARE * free:
+        raise InputError(f"{what} would take {in_bytes(n_byte)} of memory, and {in_bytes(free)} are free: {advice}")
+
+
+def check_work(what: str, seconds: float, advice: str) -> None:
+    """Refuse what would take longer than anyone waits.
+
+    Parameters
+    ----------
+    what : str
+        The work, in the plural, with the numbers that make it large.
+    seconds : float
+        Time of one processor that it takes.
+    advice : str
+        What to do.
+
+    Raises
+    ------
+    InputError
+        If it is more than a month.
+
+    Examples
+    --------
+    >>> check_work("A thousand records", 100.0, "take fewer.")
+    """
+    if not seconds <= MOST_SECONDS:
+        raise InputError(
+            f"{what} would take about {in_time(seconds)} of one processor, and more than {in_time(MOST_SECONDS)} is "
+            f"refused: {advice}"
+        )
+
+
+def free_memory() -> float:
+    """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
+    free = [_of_machine(), *(_of_group(name) for name in _GROUPS)]
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        free.append(max(float(limit) - _own("VmSize"), 0.0))
+    return min(free)
+
+
+def in_bytes(n_byte: float) -> str:
+    """Return a number of bytes in words.
+
+    Examples
+    --------
+    >>> in_bytes(3.2e9), in_bytes(2e22)
+    ('3 GiB', '2e+13 GiB')
+    """
+    for name, size in (("GiB", 2.0**30), ("MiB", 2.0**20)):
+        if n_byte >= size:
+            return f"{n_byte / size:.2g} {name}" if n_byte / size < 100 else f"{n_byte / size:.3g} {name}"
+    return f"{n_byte / 1024:.2g} KiB"
+
+
+def in_time(seconds: float) -> str:
+    """Return a time in words.
+
+    Examples
+    --------
+    >>> in_time(40.0), in_time(7200.0), in_time(5e7)
+    ('40 s', '2 hours', '579 days')
+    """
+    for name, size in (("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.2g} s"
+
+
+_SMALL = 2.0**26
+"""Bytes that are not worth a look at what is free."""
+
+
+def _of_machine() -> float:
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024.0 * float(line.split()[1])
+    with suppress(OSError, ValueError):
+        return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    return float("inf")
+
+
+def _of_group(name: str) -> float:
+    """Return what the group of processes that this one is in may still take; infinite if it has no limit."""
+    limit = Path(name)
+    used = limit.with_name({"memory.max": "memory.current"}.get(limit.name, "memory.usage_in_bytes"))
+    with suppress(OSError, ValueError):
+        most, now = float(limit.read_text(encoding="ascii")), float(used.read_text(encoding="ascii"))
+        cached = 0.0
+        for line in limit.with_name("memory.stat").read_text(encoding="ascii").splitlines():
+            if line.startswith(("inactive_file ", "total_inactive_file ")):
+                cached = float(line.split()[1])  # the kernel gives it back when it is asked for
+        return max(most - now + cached, 0.0)
+    return float("inf")
+
+
+def _own(name: str) -> float:
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith(f"{name}:"):
+                return 1024.0 * float(line.split()[1])
+    return 0.0
