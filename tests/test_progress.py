@@ -1,6 +1,6 @@
 """The progress bar."""
 
-from bayes_rs.progress import progress
+from bayes_rs.progress import progress, progress_counter
 
 
 def test_silent_where_stderr_is_no_terminal(capfd):
@@ -13,3 +13,11 @@ def test_a_bar_on_request(capfd):
     captured = capfd.readouterr()
     assert "boxes" in captured.err
     assert captured.out == ""
+
+
+def test_a_program_without_stderr_has_no_progress(monkeypatch):
+    """Python sets it to None where a program was started with it closed."""
+    monkeypatch.setattr("sys.stderr", None)
+    assert list(progress([1, 2], 2, "counting")) == [1, 2]
+    with progress_counter(2, "counting", " things") as bar:
+        bar.update(2)

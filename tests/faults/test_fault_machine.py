@@ -57,6 +57,7 @@ LIMITS = {
     "a mask of all": lambda: os.umask(0o777),
     "few open files": lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30)),
     "no stdin": lambda: os.close(0),
+    "no streams at all": lambda: os.closerange(0, 3),
 }
 """What is done in the process before the command begins."""
 TOGETHER = {
