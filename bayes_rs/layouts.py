@@ -43,6 +43,7 @@ _UNIT_WORDS = {
     **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
     **dict.fromkeys(("second", "seconds", "sec"), "s"),
 }
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F][0-9a-fA-F]{2}")  # as JSON in a text has it
 _POWERS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−·*", "0123456789-- *")
 
 
@@ -206,8 +207,8 @@ def read_json(kind: Any, content: bytes | str, *, what: str, advice: str) -> Any
     return found
 
 
-def check_plain(kind: Any, values: Any, *, what: str, advice: str) -> None:
-    """Check plain values against a class of pydantic, or any type.
+def check_plain(kind: Any, values: Any, *, what: str, advice: str) -> Any:
+    """Check plain values against a class of pydantic, or any type; return what that makes of them.
 
     Raises
     ------
@@ -215,7 +216,7 @@ def check_plain(kind: Any, values: Any, *, what: str, advice: str) -> None:
         For the first that is not what the class says.
     """
     try:
-        (kind if isinstance(kind, TypeAdapter) else TypeAdapter(kind)).validate_python(values)
+        return (kind if isinstance(kind, TypeAdapter) else TypeAdapter(kind)).validate_python(_writable(values))
     except ValidationError as error:
         raise InputError(f"{what} cannot be used: {first_fault(error)}; {advice}.") from error
     except RecursionError as error:
@@ -274,6 +275,15 @@ def _fault_of_values(values: Any, entry: Entry, attributes: Mapping[Any, Any]) -
     if entry.flags and not _names_bits(attributes):
         return "has flag_masks and flag_meanings that do not fit each other"
     return ""
+
+
+def _writable(values: Any) -> Any:
+    """Return plain values without what no text holds: names of files may have it, and need not be text."""
+    if isinstance(values, str):
+        return _SURROGATE.sub("?", values.encode("utf-8", "replace").decode("utf-8"))
+    if isinstance(values, dict):
+        return {_writable(key): _writable(value) for key, value in values.items()}
+    return [_writable(value) for value in values] if isinstance(values, list) else values
 
 
 def _all_texts(values: Any) -> bool:

@@ -188,6 +188,10 @@ class TestJson:
     def test_what_does_not_fit(self, content, words):
         assert words in refused(lambda: read_json(self.Thing, content, what="File", advice="make it"))
 
+    def test_names_of_files_need_not_be_text(self):
+        content = {"number": 1, "file": "\udcff", "list": json.dumps(["\udcff"])}
+        assert read_json(self.Thing, json.dumps(content), what="File", advice="") == content
+
     def test_what_fits(self):
         assert read_json(self.Thing, b'{"number": 1, "more": [2]}', what="File", advice="") == {
             "number": 1,

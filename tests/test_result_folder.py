@@ -28,6 +28,7 @@ from bayes_rs.output import check_output_folder, output_folder, write_run
 from bayes_rs.result_folder import RUN_FILE, list_beside, open_result_folder
 
 BEGIN = partial(begin_result_folder, key="k", key_parts={"prior": "weak", "seed": "1"})
+LAYOUT = {"record": "whole", "mean": "number", "flag": "text"}
 OTHER = partial(begin_result_folder, key="k2", key_parts={"prior": "weak", "seed": "2"})
 NAMES = [f"summary/month=2020-0{month}/part-00000{part}.parquet" for part, month in ((0, 9), (1, 9), (2, 8))]
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -85,9 +86,9 @@ class TestWriting:
 
     def test_tables_come_back_in_the_order_of_the_records(self, place):
         found = open_result_folder(finished(place))
-        whole = read_table(found, part_names(found, "summary"))
+        whole = read_table(found, part_names(found, "summary"), LAYOUT)
         pd.testing.assert_frame_equal(whole, pd.concat([table(0), table(1), table(2)], ignore_index=True))
-        assert list(read_table(found, NAMES[:1], ["mean"]).columns) == ["mean"]
+        assert list(read_table(found, NAMES[:1], {"mean": "number"}).columns) == ["mean"]
 
     def test_names_of_parts(self):
         time = np.array(["2020-08-31T23:50", "2020-09-01T00:00"], dtype="datetime64[ns]")
@@ -226,10 +227,10 @@ class TestDamage:
         assert list(found.damaged()) == [NAMES[1]]
         assert re.fullmatch(words, found.damage(NAMES[1]))
         message = rf"File '.*{NAMES[1]}' ({words}): resume the fit to make it again\."
-        for read in (found.checked, found.read, lambda name: read_table(found, [name])):
+        for read in (found.checked, found.read, lambda name: read_table(found, [name], LAYOUT)):
             with pytest.raises(InputError, match=message):
                 read(NAMES[1])
-        assert len(read_table(found, [NAMES[0]])) == 20
+        assert len(read_table(found, [NAMES[0]], LAYOUT)) == 20
 
     def test_bytes_of_the_same_length(self, place):
         (finished(place) / "note.txt").write_text("FIRST")

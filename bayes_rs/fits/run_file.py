@@ -114,7 +114,7 @@ def checked_run(run: Mapping[str, Any], file: str) -> RunOfFit:
         If an entry is missing, is of another type, or is not possible.
     """
     what = f"File {file!r}"
-    check_plain(RunOfFit, dict(run), what=what, advice=_ADVICE)
+    found: RunOfFit = check_plain(RunOfFit, dict(run), what=what, advice=_ADVICE)
     options = run["settings"]["fit"]
     for entry in options_of(FitOptions):
         if entry.name not in options:
@@ -122,4 +122,4 @@ def checked_run(run: Mapping[str, Any], file: str) -> RunOfFit:
     plain = {**options, "prior": "weak"}  # that of a file need not be there any more, nor an object of Python
     check_options(FitOptions, plain, where=f"file {file!r}")
     from_plain(FitOptions, plain, where=f"file {file!r}")
-    return RunOfFit.model_validate(dict(run))
+    return found
