@@ -198,7 +198,7 @@ class _Mark(Open):
 
     key: str
     layout: int
-    processors: list[str]
+    processors: list[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def _only_of(plan: Plan, folder: ResultFolder) -> list[str]:
                 _Mark, folder.read(PLAN_FILE), what=f"File {str(folder.path / PLAN_FILE)!r}", advice=ADVICE
             )
             if (mark["key"], mark["layout"]) == (plan.key, LAYOUT):
-                return list(mark["processors"])
+                return list(mark.get("processors") or [])
     parts = [part for dataset in DATASETS for part in folder.names(f"{dataset}/")]
     for name in (*parts, PRIOR_FILE, RECORDS_FILE, *campaign_stage.FILES):
         folder.remove(name)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.noise.layout import FILE_KIND, FILE_VERSION, noise_fields
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.sealed import is_sealed
@@ -38,6 +38,8 @@ def load_noise(path: str | Path) -> Noise:
     >>> load_noise(models_folder("noise") / "6-beam.nc").scan_name
     '6-beam'
     """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"Invalid noise {in_short(path)}: give a Noise, or the file of one that Noise.save wrote.")
     file = Path(path)
     if not file.is_file():
         raise InputError(f"No noise file {str(file)!r}: make one with calibrate, or give the path of another.")
@@ -88,6 +90,11 @@ def as_noise(noise: Noise | str | Path) -> Noise:
     -------
     noise : Noise
         The noise.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind, as a tuple, or the file is not one of noise.
 
     Examples
     --------

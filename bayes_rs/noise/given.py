@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayes_rs.errors import InputError, in_short
 from bayes_rs.noise.noise import Noise
 
 
@@ -18,8 +17,6 @@ def given_noise(noise: Noise | str | Path | None) -> Noise | None:
     """
     if noise is None or isinstance(noise, Noise):
         return noise
-    if not isinstance(noise, (str, Path)):
-        raise InputError(f"Invalid noise {in_short(noise)}: give a Noise, or the file of one that Noise.save wrote.")
-    from bayes_rs.noise.file import load_noise  # noqa: PLC0415 - not needed without a file
+    from bayes_rs.noise.file import as_noise  # noqa: PLC0415 - not needed without a file
 
-    return load_noise(noise)
+    return as_noise(noise)
