@@ -10,8 +10,10 @@ ENV := PYTHONNOUSERSITE=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 SECONDS ?= 3600
+SEED ?= 1
+INPUTS ?= 1500
 
-.PHONY: demo test test-long test-durations stress check docs benchmarks notebooks data noise clean
+.PHONY: demo test test-long test-durations stress fuzz check docs benchmarks notebooks data noise clean
 
 demo: $(VENV)/installed
 	$(ENV) $(BIN)/bayes-rs demo --overwrite
@@ -30,6 +32,10 @@ test-durations: $(VENV)/installed-test
 # random cases against references and laws, for as long as told
 stress: $(VENV)/installed-test
 	$(ENV) $(BIN)/python tests/stress/long_run.py --seconds $(SECONDS)
+
+# hostile files, options and calls, each in a process of its own, as many of each family as told
+fuzz: $(VENV)/installed-test
+	$(ENV) $(BIN)/python tests/fuzz/long_run.py --seed $(SEED) --inputs $(INPUTS)
 
 check: $(VENV)/installed-check
 	$(BIN)/ruff check .
