@@ -6,7 +6,6 @@ Sizes are estimated by simple formulas beside the work, and need not be right to
 from __future__ import annotations
 
 import os
-import resource
 from contextlib import suppress
 from pathlib import Path
 
@@ -80,9 +79,12 @@ def check_work(what: str, seconds: float, advice: str) -> None:
 def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
     free = [_of_machine(), *(_of_group(name) for name in _GROUPS)]
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY:
-        free.append(max(float(limit) - _own("VmSize"), 0.0))
+    with suppress(ImportError):  # not every system limits its processes
+        import resource  # noqa: PLC0415 - as above
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            free.append(max(float(limit) - _own("VmSize"), 0.0))
     return min(free)
 
 

@@ -224,12 +224,15 @@ class TestCalibrate:
             ({"duration": 0.0}, "Invalid duration 0.0 s"),
             ({"duration": 1.0}, "a record must hold at least two scans"),
             ({"yaw_deg": np.inf}, "Invalid yaw_deg"),
-            ({"method": Boxes(seed=-1)}, "Invalid seed -1"),
         ],
     )
     def test_message(self, change, message, tmp_path):
         with pytest.raises(InputError, match=message):
             calibrate(load_scan("2-beam"), WIDE_EDDIES, **{**SHORT, "cache": tmp_path, **change})
+
+    def test_a_seed_below_zero(self):
+        with pytest.raises(InputError, match="Invalid seed -1"):
+            Boxes(seed=-1)
 
     def test_record_longer_than_the_box(self):
         with pytest.raises(InputError, match="A record of 600 s at 10 m/s does not fit into a box of 1536 m"):

@@ -11,7 +11,7 @@ from fault_scenes import ROOT, complaint
 from fit_scene import NOISE, SCAN, make_records
 
 import bayes_rs as brs
-from bayes_rs.cli import COMMANDS
+from bayes_rs.cli.group import COMMANDS
 from bayes_rs.output import write_netcdf
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from bayes_rs import InputError, load_scan, make_records, read
-from bayes_rs.cli.__init__ import commands
+from bayes_rs.cli.group import commands
 from bayes_rs.models import models_folder
 from bayes_rs.output import write_csv
 from bayes_rs.readers import compressed

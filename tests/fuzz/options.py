@@ -17,7 +17,7 @@ _LONG_LINE = 1500
 
 def cases(seed: int, n: int) -> Iterator[Case]:
     """Return `n` commands with hostile options."""
-    from bayes_rs.cli import COMMANDS, commands  # noqa: PLC0415 - as in the frame
+    from bayes_rs.cli.group import COMMANDS, commands  # noqa: PLC0415 - as in the frame
 
     rng = random.Random(seed)  # noqa: S311 - no secret
     bases = _bases(scene().place)
