@@ -99,9 +99,14 @@ class TestDatasets:
         self.check(self.dataset())
         self.check(self.dataset(other=("x", [1])), needs=("speed",))
 
-    @pytest.mark.parametrize("unit", ["m s-1", "m/s", "m s^-1", "m s**-1", "m·s⁻¹", "meter second-1"])
+    @pytest.mark.parametrize("unit", ["m s-1", "m/s", "m s^-1", "m s**-1", "m·s⁻¹", "meter second-1", "m.s-1", ""])
     def test_units_in_other_words(self, unit):
         self.check(self.dataset(speed=("record", [1.0, 2.0], {"units": unit})))
+
+    @pytest.mark.parametrize("unit", ["m2 s-2", "m²/s²", "m2.s-2", "(m/s)^2", "(m/s)²", "(m s-1)**2"])
+    def test_units_of_squares(self, unit):
+        dataset = xr.Dataset({"variance": ("record", [1.0], {"units": unit})})
+        check_dataset(dataset, {"variance": Entry(("record",), unit="m2 s-2")}, what="The records", advice="make them")
 
     @pytest.mark.parametrize(
         ("changes", "words"),

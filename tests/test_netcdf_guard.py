@@ -401,6 +401,30 @@ class TestGoodFiles:
         assert load_netcdf(file)["words"].values[:2].tolist() == ["a", "b"]
 
     @pytest.mark.usefixtures("guard")
+    def test_texts_that_end_before_their_dimension(self, tmp_path):
+        file = tmp_path / "a.nc"
+        compound = np.dtype([("kind", "i4"), ("value", "f8")])
+        with h5py.File(file, "w") as opened:
+            opened.create_dataset("time", data=np.arange(5.0)).make_scale("time")
+            for name, kind in (("text", h5py.string_dtype()), ("letter", "S1"), ("compound", compound)):
+                opened.create_dataset(name, (5,), kind, maxshape=(None,), chunks=(5,)).dims[0].attach_scale(
+                    opened["time"]
+                )
+            opened["text"][:2] = ["a", "b"]
+            opened["letter"][:2] = [b"a", b"b"]
+            for name in ("text", "letter", "compound"):  # as the C library leaves what was not written
+                opened[name].resize((0 if name == "compound" else 2,))
+        found = load_netcdf(file)
+        assert found["text"].values.tolist() == ["a", "b", "", "", ""]
+        assert found["letter"].values.tolist() == [b"a", b"b", b"", b"", b""]
+        assert found["compound"].shape == (5,)
+
+    def test_a_python_that_prints_when_it_starts(self, guard, tmp_path, monkeypatch):
+        (tmp_path / "sitecustomize.py").write_text("print('welcome', flush=True)\nprint('>', end='', flush=True)\n")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+        assert read(write(tmp_path / "a.nc"), SIX).sizes["sample"] == SHORT.sizes["sample"]
+        assert guard.process is not None
+
     def test_threads(self, tmp_path):
         files = [write(tmp_path / f"{number}.nc") for number in range(4)]
         with ThreadPoolExecutor(4) as pool:
