@@ -377,6 +377,14 @@ class TestRecords:
         bad = made.isel({dim: slice(1)})
         assert f"The records have {words} and those of 600 s" in refused(lambda: brs.fit(bad, "2-beam", seed=1))
 
+    @pytest.mark.parametrize("duration", [20.0, 60.0])
+    def test_short_records_have_parts_that_tell_less(self, duration):
+        """Of a minute two numbers of blocks are told, and of 20 s none; their parts hardly differ."""
+        scan = "6-beam@opening_angle_deg=45,focus_distance=52"
+        records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan, duration=duration)
+        some = records.isel(record=slice(3))
+        assert brs.fit(some, scan, seed=1, target_ess=50, sampler="direct", draws="none").n_fitted == 3
+
     def test_no_record(self, made):
         empty = made.isel(record=slice(0))
         assert refused(lambda: brs.fit(empty, "2-beam", seed=1)).startswith("There is no record")
