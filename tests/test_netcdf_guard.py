@@ -550,6 +550,37 @@ class TestItsEnd:
         assert process.returncode == 0
         assert is_gone(pid)
 
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+    def test_a_fork_while_another_thread_reads(self, tmp_path):
+        """No lock of the other thread is left behind in it: `functools.cached_property` had one before Python 3.12."""
+        fork = (
+            "import os, signal, threading, warnings\n"
+            "warnings.simplefilter('ignore', DeprecationWarning)\n"
+            "file, reading = Path(sys.argv[1]), threading.Event()\n"
+            "real = netcdf_guard._guard.ask\n"
+            "def ask(file, request):\n"
+            "    if request['do'] == 'read' and threading.current_thread() is not threading.main_thread():\n"
+            "        reading.set()\n"
+            "        go_on.wait()\n"
+            "    return real(file, request)\n"
+            "go_on, netcdf_guard._guard.ask = threading.Event(), ask\n"
+            "thread = threading.Thread(target=load_netcdf, args=(file,))\n"
+            "thread.start()\n"
+            "reading.wait()\n"
+            "child = os.fork()\n"
+            "if child == 0:\n"
+            "    signal.alarm(60)\n"
+            "    load_netcdf(file)\n"
+            "    netcdf_guard._guard.end()\n"
+            "    os._exit(0)\n"
+            "assert os.waitpid(child, 0)[1] == 0\n"
+            "go_on.set()\n"
+            "thread.join()\n"
+        )
+        process, _ = ask(ASK + fork, write(tmp_path / "a.nc"))
+        assert process.communicate() == (b"", b"")
+        assert process.returncode == 0
+
     def test_nothing_starts_with_the_package(self):
         """Help does not wait for it."""
         done = subprocess.run(
