@@ -44,7 +44,8 @@ _UNIT_WORDS = {
     **dict.fromkeys(("second", "seconds", "sec"), "s"),
 }
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F][0-9a-fA-F]{2}")  # as JSON in a text has it
-_POWERS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−·*", "0123456789-- *")
+_POWERS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−·.*", "0123456789--  *")
+_SQUARE = re.compile(r"\(([^()]*)\) ?(?:\^|\*\*)?2")  # of a speed, say
 
 
 class Open(BaseModel):
@@ -259,8 +260,9 @@ def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
     values = found.values
     if values.dtype.kind not in kinds or (values.dtype.kind == "O" and not _all_texts(values)):
         return f"holds {_type_words(values.dtype)}, and must hold {words}"
-    unit = found.attrs.get("units", entry.unit)
-    if entry.unit and (not isinstance(unit, str) or _unit(unit) != _unit(entry.unit)):
+    unit = found.attrs.get("units", "")
+    stated = not isinstance(unit, str) or unit.strip() != ""
+    if entry.unit and stated and (not isinstance(unit, str) or _unit(unit) != _unit(entry.unit)):
         return f"is in {shown(_as_plain(unit))}, and must be in {entry.unit!r}"
     if entry.values and tuple(values.tolist()) != entry.values:
         return f"is {', '.join(map(str, values.tolist()))[:_SHOWN]}, and must be {', '.join(map(str, entry.values))}"
@@ -296,7 +298,10 @@ def _type_words(dtype: Any) -> str:
 
 def _unit(text: str) -> dict[str, int]:
     """Return the powers of the units in a text: those of ``m s-1``, ``m/s`` and ``m·s⁻¹`` are the same."""
-    above, *below = text.strip().lower().translate(_POWERS).split("/")
+    plain = text.strip().lower().translate(_POWERS)
+    if square := _SQUARE.fullmatch(plain):
+        return {name: 2 * power for name, power in _unit(square[1]).items()}
+    above, *below = plain.split("/")
     found: dict[str, int] = {}
     for part, sign in ((above, 1), *((one, -1) for one in below)):
         if _UNIT.sub("", part).strip(" *") not in ("", "1"):

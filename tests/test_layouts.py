@@ -99,9 +99,14 @@ class TestDatasets:
         self.check(self.dataset())
         self.check(self.dataset(other=("x", [1])), needs=("speed",))
 
-    @pytest.mark.parametrize("unit", ["m s-1", "m/s", "m s^-1", "m s**-1", "m·s⁻¹", "meter second-1"])
+    @pytest.mark.parametrize("unit", ["m s-1", "m/s", "m s^-1", "m s**-1", "m·s⁻¹", "meter second-1", "m.s-1", ""])
     def test_units_in_other_words(self, unit):
         self.check(self.dataset(speed=("record", [1.0, 2.0], {"units": unit})))
+
+    @pytest.mark.parametrize("unit", ["m2 s-2", "m²/s²", "m2.s-2", "(m/s)^2", "(m/s)²", "(m s-1)**2"])
+    def test_units_of_squares(self, unit):
+        dataset = xr.Dataset({"variance": ("record", [1.0], {"units": unit})})
+        check_dataset(dataset, {"variance": Entry(("record",), unit="m2 s-2")}, what="The records", advice="make them")
 
     @pytest.mark.parametrize(
         ("changes", "words"),
@@ -371,6 +376,14 @@ class TestRecords:
     def test_parts_of_another_scan(self, made, dim, words):
         bad = made.isel({dim: slice(1)})
         assert f"The records have {words} and those of 600 s" in refused(lambda: brs.fit(bad, "2-beam", seed=1))
+
+    @pytest.mark.parametrize("duration", [20.0, 60.0])
+    def test_short_records_have_parts_that_tell_less(self, duration):
+        """Of a minute two numbers of blocks are told, and of 20 s none; their parts hardly differ."""
+        scan = "6-beam@opening_angle_deg=45,focus_distance=52"
+        records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan, duration=duration)
+        some = records.isel(record=slice(3))
+        assert brs.fit(some, scan, seed=1, target_ess=50, sampler="direct", draws="none").n_fitted == 3
 
     def test_no_record(self, made):
         empty = made.isel(record=slice(0))

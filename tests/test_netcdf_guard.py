@@ -401,6 +401,30 @@ class TestGoodFiles:
         assert load_netcdf(file)["words"].values[:2].tolist() == ["a", "b"]
 
     @pytest.mark.usefixtures("guard")
+    def test_texts_that_end_before_their_dimension(self, tmp_path):
+        file = tmp_path / "a.nc"
+        compound = np.dtype([("kind", "i4"), ("value", "f8")])
+        with h5py.File(file, "w") as opened:
+            opened.create_dataset("time", data=np.arange(5.0)).make_scale("time")
+            for name, kind in (("text", h5py.string_dtype()), ("letter", "S1"), ("compound", compound)):
+                opened.create_dataset(name, (5,), kind, maxshape=(None,), chunks=(5,)).dims[0].attach_scale(
+                    opened["time"]
+                )
+            opened["text"][:2] = ["a", "b"]
+            opened["letter"][:2] = [b"a", b"b"]
+            for name in ("text", "letter", "compound"):  # as the C library leaves what was not written
+                opened[name].resize((0 if name == "compound" else 2,))
+        found = load_netcdf(file)
+        assert found["text"].values.tolist() == ["a", "b", "", "", ""]
+        assert found["letter"].values.tolist() == [b"a", b"b", b"", b"", b""]
+        assert found["compound"].shape == (5,)
+
+    def test_a_python_that_prints_when_it_starts(self, guard, tmp_path, monkeypatch):
+        (tmp_path / "sitecustomize.py").write_text("print('welcome', flush=True)\nprint('>', end='', flush=True)\n")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+        assert read(write(tmp_path / "a.nc"), SIX).sizes["sample"] == SHORT.sizes["sample"]
+        assert guard.process is not None
+
     def test_threads(self, tmp_path):
         files = [write(tmp_path / f"{number}.nc") for number in range(4)]
         with ThreadPoolExecutor(4) as pool:
@@ -525,6 +549,37 @@ class TestItsEnd:
         assert process.communicate() == (b"", b"")
         assert process.returncode == 0
         assert is_gone(pid)
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+    def test_a_fork_while_another_thread_reads(self, tmp_path):
+        """No lock of the other thread is left behind in it: `functools.cached_property` had one before Python 3.12."""
+        fork = (
+            "import os, signal, threading, warnings\n"
+            "warnings.simplefilter('ignore', DeprecationWarning)\n"
+            "file, reading = Path(sys.argv[1]), threading.Event()\n"
+            "real = netcdf_guard._guard.ask\n"
+            "def ask(file, request):\n"
+            "    if request['do'] == 'read' and threading.current_thread() is not threading.main_thread():\n"
+            "        reading.set()\n"
+            "        go_on.wait()\n"
+            "    return real(file, request)\n"
+            "go_on, netcdf_guard._guard.ask = threading.Event(), ask\n"
+            "thread = threading.Thread(target=load_netcdf, args=(file,))\n"
+            "thread.start()\n"
+            "reading.wait()\n"
+            "child = os.fork()\n"
+            "if child == 0:\n"
+            "    signal.alarm(60)\n"
+            "    load_netcdf(file)\n"
+            "    netcdf_guard._guard.end()\n"
+            "    os._exit(0)\n"
+            "assert os.waitpid(child, 0)[1] == 0\n"
+            "go_on.set()\n"
+            "thread.join()\n"
+        )
+        process, _ = ask(ASK + fork, write(tmp_path / "a.nc"))
+        assert process.communicate() == (b"", b"")
+        assert process.returncode == 0
 
     def test_nothing_starts_with_the_package(self):
         """Help does not wait for it."""

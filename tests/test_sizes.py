@@ -71,6 +71,13 @@ class TestWork:
         fit_plan.check_draws(52_560, 6, FitOptions())
         fit_plan.check_draws(6, 6, FitOptions(target_ess=20_000))
 
+    def test_draws_of_years_in_a_folder_are_not_in_memory_together(self, monkeypatch):
+        monkeypatch.setattr(sizes, "free_memory", lambda: 8.0 * GIB)
+        options = FitOptions(draws="float32")
+        fit_plan.check_draws(157_680, 6, options, in_folder=True)
+        with pytest.raises(InputError, match=r"^The draws of 157680 records .* would take 43 GiB of memory"):
+            fit_plan.check_draws(157_680, 6, options)
+
     def test_time_grows_with_pairs_lags_and_probes(self):
         six, fifty = brs.load_scan("6-beam"), brs.load_scan("50-beam")
         assert seconds_of_pairs(six, 6000) == pytest.approx(10.0 * seconds_of_pairs(six, 600))

@@ -138,7 +138,7 @@ def fit(
     inputs = fit_inputs(records, given, choice)
     with one_thread():
         found, records = noise_and_records(records, used, given, own, choice, say)
-        plan = plan_fit(records, used, found, own, inputs=inputs)
+        plan = plan_fit(records, used, found, own, inputs=inputs, in_folder=output is not None)
     if output is None:
         return _in_memory(with_settings(plan, noise=to_plain(choice)), workers, client, progress)
     plan = with_settings(plan, noise=noise_section(choice, given))

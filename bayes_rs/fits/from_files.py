@@ -114,7 +114,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         inputs = fit_inputs(records, noise, settings.noise)
         with one_thread():
             found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
-            plan = plan_fit(records, scan, found, options, inputs=inputs)
+            plan = plan_fit(records, scan, found, options, inputs=inputs, in_folder=True)
         plan = with_settings(plan, **_other_sections(settings, noise))
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
     return open_fit(settings.output.output)

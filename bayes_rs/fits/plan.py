@@ -18,7 +18,7 @@ from bayes_rs._version import __version__
 from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.direction_table import prior_covariances, scan_directions
-from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.fit_options import MOST_KEPT, FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_before
 from bayes_rs.fits.noise_choice import about_probe
 from bayes_rs.fits.parts import Part, Shared, batch_size, n_kept
@@ -92,10 +92,19 @@ class Plan:
         return ("summary", "posterior", *(("draws", "predicted") if self.shared.keep_draws else ()))
 
 
-def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions, *, inputs: Mapping[str, Any]) -> Plan:
+def plan_fit(
+    records: xr.Dataset,
+    scan: Scan,
+    noise: Noise,
+    options: FitOptions,
+    *,
+    inputs: Mapping[str, Any],
+    in_folder: bool = False,
+) -> Plan:
     """Check that records, scan and noise belong together, and cut the records into parts.
 
-    `inputs` is what the records and the noise were made of, by name: it tells the fit from others.
+    `inputs` is what the records and the noise were made of, by name: it tells the fit from others. Draws that go to a
+    folder are not in memory together.
 
     Raises
     ------
@@ -105,7 +114,7 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions,
         If the noise was made for another scan.
     """
     scan, noise, batch = prepare(records, scan, noise, options)
-    check_draws(len(batch), noise.n_beam, options)
+    check_draws(len(batch), noise.n_beam, options, in_folder=in_folder)
     beams = record_beams(records, scan, noise, batch, options)
     parts = _parts(records, batch, beams)
     key_parts = digest_parts(
@@ -157,8 +166,10 @@ def plan_fit(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions,
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
 
 
-def check_draws(n_record: int, n_beam: int, options: FitOptions) -> None:
+def check_draws(n_record: int, n_beam: int, options: FitOptions, *, in_folder: bool = False) -> None:
     """Refuse so many draws of so many records that no memory holds them, or no one waits for them.
+
+    In a folder they are written part by part, and those of up to `MOST_KEPT` records once more, together.
 
     Raises
     ------
@@ -167,7 +178,7 @@ def check_draws(n_record: int, n_beam: int, options: FitOptions) -> None:
     """
     n_byte = 48.0 * N_CHAIN * n_kept(options)  # of a record: six stresses of each draw
     together = min(n_record, batch_size(n_beam))
-    kept = n_record if options.keeps_draws(n_record) else together
+    kept = n_record if options.keeps_draws(n_record) and (n_record <= MOST_KEPT or not in_folder) else together
     what = f"The draws of {n_record} records with target_ess {options.target_ess}"
     advice = "choose a smaller target_ess (--ess), 1000 is usual, or keep no draws (--draws none)."
     check_size(what, n_byte * (_COPIES_SAMPLED * together + _COPIES_KEPT * kept), advice)

@@ -7,7 +7,7 @@ import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -141,14 +141,19 @@ class _Values(BackendArray):
         self.group, self.name = group, name
         self.kind = about["dtype"]
         self.dtype, self.shape = _dtype(self.kind), tuple(about["shape"])
+        self._read: NDArray[Any] | None = None  # no cached_property: before Python 3.12 a fork may find it locked
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         """Return some of the values."""
         support = indexing.IndexingSupport.BASIC
-        return indexing.explicit_indexing_adapter(key, self.shape, support, lambda plain: self._whole[plain])
+        return indexing.explicit_indexing_adapter(key, self.shape, support, lambda plain: self._whole()[plain])
 
-    @cached_property
     def _whole(self) -> NDArray[Any]:
+        if self._read is None:
+            self._read = self._from_file()
+        return self._read
+
+    def _from_file(self) -> NDArray[Any]:
         _, content = self.group.asked(self.group.file, "read", group=self.group.path, name=self.name)
         if self.kind != TEXT:
             return np.frombuffer(content, dtype=self.dtype).reshape(self.shape)

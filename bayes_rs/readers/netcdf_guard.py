@@ -196,11 +196,18 @@ class _Guard:
 
 
 def _exchanged(process: subprocess.Popen[bytes], request: bytes) -> _Answer | None:
-    """Send a line and read its answer; none, if the process ends before it is whole."""
+    """Send a line and read its answer; none, if the process ends before it is whole.
+
+    Without a line, wait until the process is ready, whatever the machine's own set-up of Python prints before.
+    """
     if process.stdin is None or process.stdout is None:
         return None
     os.write(process.stdin.fileno(), request)  # past the buffer, which a fork could write a second time
     line = process.stdout.readline()
+    while not request and line and not line.endswith(netcdf_process.READY):
+        line = process.stdout.readline()
+    if not request:
+        return ({}, b"") if line else None
     if not line.endswith(b"\n"):
         return None
     told: dict[str, Any] = json.loads(line)

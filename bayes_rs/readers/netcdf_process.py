@@ -148,10 +148,19 @@ def _told(value: Any, *, raw: bool = False) -> Any:
 
 def _values(variable: h5netcdf.Variable) -> bytes:
     """Return the values of a variable: the bytes of its numbers, or its texts in JSON."""
-    values = variable[...]
     if _kind(variable.dtype) != TEXT:
-        return np.ascontiguousarray(values).tobytes()
-    return json.dumps([_told(value) for value in np.ravel(np.asarray(values, dtype=object))]).encode("ascii")
+        return np.ascontiguousarray(_filled_up(np.asarray(variable[...]), variable.shape)).tobytes()
+    values = _filled_up(np.asarray(variable[...], dtype=object), variable.shape)
+    return json.dumps([_told(value) for value in np.ravel(values)]).encode("ascii")
+
+
+def _filled_up(values: np.ndarray[Any, Any], shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """Return values in the shape of their dimensions: h5netcdf fills numbers up to an unlimited one, but no texts."""
+    if values.shape == shape:
+        return values
+    full = np.full(shape, "", dtype=values.dtype)
+    full[tuple(slice(size) for size in values.shape)] = values
+    return full
 
 
 def main() -> None:
