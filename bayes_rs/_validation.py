@@ -166,10 +166,11 @@ def check_array(values: ArrayLike, shape: tuple[int | None, ...], *, what: str) 
     limits = LIMITS.get(what)
     if limits is not None:
         for first in np.argwhere((array != 0.0) & ((array < limits.least) | (array > limits.most)))[:1].tolist():
-            raise InputError(
-                f"Invalid {what}: the entry at {tuple(first)} is {array[tuple(first)]}, and every entry must be from "
-                f"{limits.least:g} to {limits.most:g}{'; ' * bool(limits.usual)}{limits.usual}."
-            )
+            rule = f"from {limits.least:g} to {limits.most:g}{'; ' * bool(limits.usual)}{limits.usual}."
+            if array.size == 1:
+                raise InputError(f"Invalid {what} {array.item()}: it must be {rule}")
+            place = f"the entry at {tuple(first)} is {array[tuple(first)]}"
+            raise InputError(f"Invalid {what}: {place}, and every entry must be {rule}")
     return array
 
 

@@ -60,7 +60,7 @@ LIMITS: dict[str, Limits] = {
     "length_scale_prior": Limits(1e-3, 1e5, "60 m and 0.8 are usual"),
     # geometry, m, degrees and rad
     "focus_distance": _LENGTH,
-    "separation": Limits(-1e9, 1e9),
+    "separation": Limits(-1e18, 1e18),
     "position": Limits(-1e6, 1e6),
     "rotor_radius": _LENGTH,
     "range_tolerance": _LENGTH,
@@ -98,7 +98,7 @@ LIMITS: dict[str, Limits] = {
     "inflation": Limits(1e-3, 1e3, "1 to 3 are usual"),
     "factor": Limits(1e-3, 1e3, "0.5 and 2 are usual"),
     "prob": Limits(1e-6, 1.0 - 1e-6, "0.9 is usual"),
-    "bound": Limits(1e-3, 1e6, "20 is usual"),
+    "bound": Limits(1e-12, 1e6, "20 is usual"),
     # counts
     "n_beams": Limits(1, 10_000),
     "target_ess": Limits(1, 10**5, "1000 is usual"),

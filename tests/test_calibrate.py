@@ -91,7 +91,11 @@ class TestRecords:
 
     def test_records_without_a_wind(self):
         records = some_records(load_scan("2-beam"), [9.0])
-        for without in (records.drop_vars("wind_speed"), records.drop_vars("yaw"), records * np.nan):
+        for without in (
+            records.drop_vars("wind_speed"),
+            records.drop_vars("yaw"),
+            records.assign(yaw=records["yaw"] * np.nan),
+        ):
             with pytest.raises(InputError, match="No record has a wind speed and direction"):
                 calibrate("2-beam", records=without)
 

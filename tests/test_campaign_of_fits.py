@@ -335,17 +335,18 @@ class TestTheRoad:
 
         names = {
             "before the campaign": (campaign_stage, "learn_campaign"),
-            "before its last file": (campaign_stage.ResultFolder, "write_text"),
             "in the second pass": (campaign_stage, "fit_under_campaign"),
             "after all of it": (campaign_stage, "Campaign"),
         }
         with monkeypatch.context() as patch:
             if stop == "before its last file":
-                write = campaign_stage.ResultFolder.write_text
+                write = campaign_stage.ResultFolder.write_bytes
                 patch.setattr(
                     campaign_stage.ResultFolder,
-                    "write_text",
-                    lambda self, name, text: fail() if name == campaign_stage.ABOUT_FILE else write(self, name, text),
+                    "write_bytes",
+                    lambda self, name, content: (
+                        fail() if name == campaign_stage.ABOUT_FILE else write(self, name, content)
+                    ),
                 )
             elif stop == "after all of it":
                 patch.setattr("bayes_rs.fits.fit_folder._write_exports", fail)

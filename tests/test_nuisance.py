@@ -332,14 +332,9 @@ class TestYawOfRecords:
         words = r"Invalid yaw_sd nan degrees of record 2 \(2020-01-01T00:20\), one of 2: .* give yaw_sd_missing_deg"
         with pytest.raises(InputError, match=words):
             fit(records, scan, nuisances=self.OWN, **options)
-        for bad in (-1.0, np.inf):
-            with pytest.raises(InputError, match=f"Invalid yaw_sd {bad} degrees of record 4"):
-                fit(
-                    records.assign(yaw_sd=("record", [4.0, 4.0, 4.0, 4.0, bad])),
-                    scan,
-                    nuisances=Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=5.0),
-                    **options,
-                )
+        bad = records.assign(yaw_sd=("record", [4.0, 4.0, 4.0, 4.0, -1.0]))
+        with pytest.raises(InputError, match=r"Invalid yaw_sd -1\.0 degrees of record 4"):
+            fit(bad, scan, nuisances=Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=5.0), **options)
         filled = fit(records, scan, nuisances=Nuisances(yaw_sd_deg="records", yaw_sd_missing_deg=7.0), **options)
         given = records.assign(yaw_sd=("record", [4.0, 0.0, 7.0, 7.0, 1.0]))
         said = fit(given, scan, nuisances=self.OWN, **options)

@@ -186,9 +186,13 @@ EXTREMES = [
     (QualityRules, {"trend_level": "0.01"}, "Invalid trend_level '0.01'"),
     (RecordOptions, {"duration": 1e-300}, "Invalid duration 1e-300 s"),
     (RecordOptions, {"duration": "600"}, "Invalid duration '600' s"),
-    (FileOptions, {"time_format": "%n"}, "Invalid time_format '%n': 'n' is a bad directive"),
+    (FileOptions, {"time_format": "%n"}, "Invalid time_format '%n': it must be a pattern that can be read and states"),
     (FileOptions, {"time_format": "%Y%"}, "Invalid time_format '%Y%'"),
-    (FileOptions, {"time_format": "%Y %Y"}, "Invalid time_format '%Y %Y': it names a part of the time twice"),
+    (
+        FileOptions,
+        {"time_format": "%Y %Y"},
+        "Invalid time_format '%Y %Y': it must be a pattern that can be read and states",
+    ),
     (FileOptions, {"sample_duration": 1e300}, "Invalid sample_duration 1e+300 s"),
     (OutputOptions, {"workers": 10**9}, "Invalid workers 1000000000"),
     (CompareOptions, {"seed": 2**70}, "Invalid seed"),
@@ -214,7 +218,7 @@ EXTREMES = [
     (
         brs.turbulence.velocity_covariance,
         {"separation": [1e300, 0.0, 0.0], "turbulence": "fu-2022"},
-        "Invalid separation: the entry at (0, 0) is 1e+300, and every entry must be from -1e+09 to 1e+09.",
+        "Invalid separation: the entry at (0, 0) is 1e+300, and every entry must be from -1e+18 to 1e+18.",
     ),
     (
         brs.noise.calibrate,

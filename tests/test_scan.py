@@ -199,7 +199,7 @@ class TestChangesBehindTheName:
             ("6-beam@tilt_deg=a", "Invalid tilt_deg 'a' of scan '6-beam': it must be a number"),
             ("6-beam@tilt_deg=1+2", "only focus distances may be several"),
             ("6-beam@tilt_deg=1,tilt_deg=2", "it changes tilt_deg twice"),
-            ("6-beam@tilt_deg=nan", "Invalid change of scan '6-beam': mounting.tilt_deg = nan"),
+            ("6-beam@tilt_deg=nan", "Invalid tilt_deg nan degrees"),
             ("6-beam@focus_distance=-5", r"Invalid change of scan '6-beam': beams.focus_distance\.0 = -5.0: input"),
             ("6-beam@probe=staring", "Invalid probe 'staring': that scan has no probe volume; write 'point' if none"),
             ("6-beam@probe=no-such-scan", "Invalid probe 'no-such-scan'"),

@@ -288,7 +288,7 @@ class FitData:
         if isinstance(record, str) and not record.lstrip("-").isdecimal():
             index = self._at(record)
         else:
-            index = int(record) if isinstance(record, str) else check_count(record, what="record", minimum=0)
+            index = int(record) if isinstance(record, str) else check_count(record, what="record", minimum=-(2**31))
             if not 0 <= index < self.n_record:
                 raise InputError(f"No record {index}: there are {self.n_record}, numbered from 0.")
         if not self.fitted[index]:

@@ -75,9 +75,7 @@ def _meaning(file: Path, answer: _Answer) -> _Answer:
         said = told["error"]
         if told["kind"] in _LOST:
             said = f"the library cannot follow what it says ({said})"
-        error = OSError(said)
-        error.errno = told["errno"]
-        raise error
+        raise OSError(said) if told["errno"] is None else OSError(told["errno"], said)
     if told.get("fault"):
         raise InputError(f"File {str(file)!r} cannot be read as NetCDF: {told['fault']}")
     return answer

@@ -20,8 +20,6 @@ NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
 
 _ANGLES = ("yaw", "tilt", "roll", "yaw_sd")
-_OF_RECORD = ("wind_speed", *_ANGLES)
-"""What a record has one of: an infinite one is impossible; a beam's is left out as it is."""
 _WORDS = {
     "variance": "variances",
     "mean": "mean radial velocities",

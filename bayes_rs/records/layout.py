@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import xarray as xr
 from pydantic import Field, Json, model_validator
 
-from bayes_rs.errors import InputError
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
 
 _RECORD = ("record",)
@@ -233,5 +232,3 @@ def check_layout(records: xr.Dataset, *needs: str, what: str = "The records", ad
         attributes=RecordsAttributes,
         advice=advice,
     )
-    if needs and records.sizes.get("record") == 0:
-        raise InputError("There is no record: the series is shorter than one averaging period.")
