@@ -322,6 +322,19 @@ class TestOneDoor:
             read(write(tmp_path / "a.nc", series), SIX)
 
     @pytest.mark.usefixtures("guard")
+    @pytest.mark.parametrize("kind", [complex, bool])
+    def test_velocities_that_are_no_real_numbers(self, tmp_path, kind):
+        """Their real parts, or ones and zeros, were read in silence."""
+        file = write(tmp_path / "a.nc")
+        with h5py.File(file, "a") as opened:
+            values = opened["radial_velocity"][()]
+            del opened["radial_velocity"]
+            opened["radial_velocity"] = values.astype(kind)
+            opened["radial_velocity"].dims[0].attach_scale(opened["sample"])
+        with pytest.raises(InputError, match=r"Invalid radial_velocity in .*must be real numbers; give another column"):
+            read(file, SIX)
+
+    @pytest.mark.usefixtures("guard")
     def test_a_dimension_that_a_variable_has_twice(self, tmp_path):
         with h5py.File(write(tmp_path / "a.nc"), "a") as opened:
             opened["twice"] = np.zeros((48, 48))

@@ -28,8 +28,14 @@ def numbers(column: Column, file_format: FileFormat) -> tuple[FloatArray, BoolAr
     Raises
     ------
     InputError
-        If an entry is text.
+        If an entry is text, or the column is of complex numbers, or of true and false where that is no value.
     """
+    kind = column.values.dtype
+    if pd.api.types.is_complex_dtype(kind) or (pd.api.types.is_bool_dtype(kind) and column.name != "status"):
+        raise InputError(
+            f"Invalid {column.name} in {column.where(0)}: the entries are of type {kind}, and must be real numbers; "
+            "give another column."
+        )
     if pd.api.types.is_numeric_dtype(column.values.dtype):
         values = column.values.to_numpy(dtype=np.float64, na_value=np.nan)
     else:

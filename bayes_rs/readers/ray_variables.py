@@ -244,6 +244,8 @@ def _numbers(variable: xr.Variable, name: str, own: str, file: Path, size: Mappi
     values = without_missing(variable).transpose(*(dim for dim in size if dim in variable.dims)).values
     shape = [length if dim in variable.dims else 1 for dim, length in size.items()]
     try:
+        if np.iscomplexobj(values):
+            raise TypeError("they are complex")  # noqa: TRY301 - caught below with the others
         return np.broadcast_to(np.asarray(values, dtype=np.float64).reshape(shape), tuple(size.values()))
     except (ValueError, TypeError) as error:
         raise InputError(

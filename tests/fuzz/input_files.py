@@ -178,7 +178,7 @@ def classic(folder: Path, rng: np.random.Generator) -> Path:
     try:
         series[variable].attrs[str(_draw(rng, [name for name in NAMES if name != "_FillValue"]))] = value
         series.to_netcdf(folder / "a.nc", format="NETCDF3_64BIT", engine="scipy")
-    except (TypeError, ValueError, OverflowError):
+    except (AttributeError, TypeError, ValueError, OverflowError):
         readers.SHORT.to_netcdf(folder / "a.nc", format="NETCDF3_64BIT", engine="scipy")
     return folder / "a.nc"
 
