@@ -401,6 +401,23 @@ class TestGoodFiles:
         assert load_netcdf(file)["words"].values[:2].tolist() == ["a", "b"]
 
     @pytest.mark.usefixtures("guard")
+    def test_a_file_is_recognised_without_its_values(self, guard, tmp_path, monkeypatch):
+        """Each value comes over once: the time is that of a sample, and is asked for by every reader that looks."""
+        asked = []
+        real = guard.ask
+        monkeypatch.setattr(guard, "ask", lambda file, request: (asked.append(request), real(file, request))[1])
+        read(write(tmp_path / "a.nc"), SIX)
+        names = [request["name"] for request in asked if request["do"] == "read"]
+        assert "time" in names
+        assert len(names) == len(set(names))
+
+    @pytest.mark.usefixtures("guard")
+    def test_a_status_that_is_no_number(self, tmp_path):
+        velocity = SHORT["radial_velocity"].assign_attrs(positive="away")
+        file = write(tmp_path / "a.nc", SHORT.assign(radial_velocity=velocity).assign_attrs(status_valid="good"))
+        with pytest.raises(InputError, match=r"^Invalid status_valid 'good' in file '.*a\.nc': it must be a number"):
+            read(file, SIX)
+
     def test_texts_that_end_before_their_dimension(self, tmp_path):
         file = tmp_path / "a.nc"
         compound = np.dtype([("kind", "i4"), ("value", "f8")])
