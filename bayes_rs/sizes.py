@@ -6,11 +6,14 @@ Sizes are estimated by simple formulas beside the work, and need not be right to
 from __future__ import annotations
 
 import os
-import resource
+import sys
 from contextlib import suppress
 from pathlib import Path
 
 from bayes_rs.errors import InputError
+
+if sys.platform != "win32":  # which has no such limits
+    import resource
 
 MOST_SECONDS = 30 * 86_400.0
 """Time of one processor that a single piece of work may take: a month. What takes more is a mistake."""
@@ -80,9 +83,10 @@ def check_work(what: str, seconds: float, advice: str) -> None:
 def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
     free = [_of_machine(), *(_of_group(name) for name in _GROUPS)]
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY:
-        free.append(max(float(limit) - _own("VmSize"), 0.0))
+    if sys.platform != "win32":
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            free.append(max(float(limit) - _own("VmSize"), 0.0))
     return min(free)
 
 

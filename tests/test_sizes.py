@@ -63,6 +63,18 @@ class TestChecks:
         assert sizes.in_bytes(n_byte) == words
 
 
+def test_what_only_posix_has_is_not_needed():
+    """Nothing but limits of processes is lost without it."""
+    blocked = "import sys; sys.platform = 'win32'; sys.modules['resource'] = None; from bayes_rs import sizes; "
+    check = subprocess.run(  # noqa: S603 - our own line
+        [sys.executable, "-c", f"{blocked}print(sizes.free_memory() > 0.0)"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (check.stdout, check.stderr) == ("True\n", "")
+
+
 class TestWork:
     def test_legitimate_scenes_are_within(self):
         """A day of six beams, an hour of four hundred."""
