@@ -447,6 +447,14 @@ class TestGoodFiles:
         with ThreadPoolExecutor(4) as pool:
             list(pool.map(load_netcdf, files * 10))
 
+    @pytest.mark.usefixtures("guard")
+    def test_threads_that_read_what_is_ours_at_once(self, tmp_path):
+        """As when fits in threads look for the same noise: none closes the file while another one reads it."""
+        file = write(tmp_path / "a.nc")
+        with ThreadPoolExecutor(8) as pool:
+            found = list(pool.map(lambda _: load_netcdf(file, trusted=True).sizes["sample"], range(60)))
+        assert set(found) == {SHORT.sizes["sample"]}
+
     def test_a_process_that_was_killed_in_between(self, guard, tmp_path):
         """It is not the next file's fault, whether that is noticed before the request or after."""
         files = iter([write(tmp_path / f"{number}.nc") for number in range(3)])
