@@ -258,7 +258,8 @@ def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
         return f"has dims {found.dims}, and must have {entry.dims}"
     kinds, words = _KINDS[entry.kind]
     values = found.values
-    if values.dtype.kind not in kinds or (values.dtype.kind == "O" and not _all_texts(values)):
+    whole = entry.kind == "whole" and not entry.flags and _all_whole(values)  # bits are no floats, numbers may be
+    if (values.dtype.kind not in kinds and not whole) or (values.dtype.kind == "O" and not _all_texts(values)):
         return f"holds {_type_words(values.dtype)}, and must hold {words}"
     unit = found.attrs.get("units", "")
     stated = not isinstance(unit, str) or unit.strip() != ""
@@ -267,6 +268,10 @@ def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
     if entry.values and tuple(values.tolist()) != entry.values:
         return f"is {', '.join(map(str, values.tolist()))[:_SHOWN]}, and must be {', '.join(map(str, entry.values))}"
     return _fault_of_values(values, entry, found.attrs)
+
+
+def _all_whole(values: Any) -> bool:
+    return values.dtype.kind == "f" and bool(np.all(np.isfinite(values) & (values == np.round(values))))
 
 
 def _fault_of_values(values: Any, entry: Entry, attributes: Mapping[Any, Any]) -> str:

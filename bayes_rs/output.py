@@ -206,6 +206,8 @@ def _check_no_file(final: Path, *, overwrite: bool) -> None:
     _check_name(final)
     if final.is_dir():
         raise InputError(f"Cannot write {str(final)!r}: it is a folder; give the name of a file.")
+    if final.exists() and not final.is_file():  # who may do anything would replace a device of the system by a file
+        raise InputError(f"Cannot write {str(final)!r}: it is a device or a pipe; give the name of a file.")
     if final.exists() and not overwrite:
         raise InputError(f"File {str(final)!r} exists: give another name, or overwrite it (--overwrite).")
 

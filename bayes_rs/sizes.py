@@ -6,10 +6,14 @@ Sizes are estimated by simple formulas beside the work, and need not be right to
 from __future__ import annotations
 
 import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 
 from bayes_rs.errors import InputError
+
+if sys.platform != "win32":  # which has no such limits
+    import resource
 
 MOST_SECONDS = 30 * 86_400.0
 """Time of one processor that a single piece of work may take: a month. What takes more is a mistake."""
@@ -17,7 +21,8 @@ MOMENT = 5.0
 """Seconds up to which a plan computes what it could also only announce."""
 _SHARE = 0.8
 """Of the free memory that work may take: estimates are rough, and others need some."""
-_GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_GROUPS = {"": ("/sys/fs/cgroup", "memory.max"), "memory": ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")}
+"""Where the limits of groups of processes stand, and in which file: of the second version, and of the first."""
 
 
 def check_size(what: str, n_byte: float, advice: str) -> None:
@@ -78,10 +83,8 @@ def check_work(what: str, seconds: float, advice: str) -> None:
 
 def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
-    free = [_of_machine(), *(_of_group(name) for name in _GROUPS)]
-    with suppress(ImportError):  # not every system limits its processes
-        import resource  # noqa: PLC0415 - as above
-
+    free = [_of_machine(), *(_of_group(file) for file in _limits())]
+    if sys.platform != "win32":
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY:
             free.append(max(float(limit) - _own("VmSize"), 0.0))
@@ -130,9 +133,21 @@ def _of_machine() -> float:
     return float("inf")
 
 
-def _of_group(name: str) -> float:
+def _limits() -> list[Path]:
+    """Return the files with the limits of the groups that this process is in, and of those above them."""
+    files = {Path(root, name): None for root, name in _GROUPS.values()}
+    with suppress(OSError, ValueError):
+        for line in Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines():
+            _, kinds, path = line.split(":", 2)
+            for kind in kinds.split(","):
+                root, name = _GROUPS.get(kind, ("", ""))
+                below = Path(path.lstrip("/"))
+                files.update({Path(root, above, name): None for above in (below, *below.parents) if root})
+    return list(files)
+
+
+def _of_group(limit: Path) -> float:
     """Return what the group of processes that this one is in may still take; infinite if it has no limit."""
-    limit = Path(name)
     used = limit.with_name({"memory.max": "memory.current"}.get(limit.name, "memory.usage_in_bytes"))
     with suppress(OSError, ValueError):
         most, now = float(limit.read_text(encoding="ascii")), float(used.read_text(encoding="ascii"))

@@ -30,6 +30,7 @@ from bayes_rs import InputError, MissingExtraError, fit, make_records, open_fit,
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.file_options import FileOptions
 from bayes_rs.fits import from_files, plan
+from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.tables import part_names
 from bayes_rs.fits.workers import connect
 from bayes_rs.output import output_folder, write_run
@@ -206,6 +207,16 @@ class TestInterruptions:
         for other in ({"draws": "all"}, {"prior": "strong"}, {"workers": 0}, {"target": "truth"}):
             with pytest.raises(InputError):
                 run(files, tmp_path / "out", noise, **other)
+        assert not (tmp_path / "out").exists()
+
+    def test_a_turbulence_that_is_none_is_said_before_files_are_read(self, files, tmp_path):
+        (tmp_path / "air.toml").write_text(
+            'title = "t"\nsource = "s"\ndissipation = 0.05\nlength_scale = 60.0\ngamma = 100.0\n'
+        )
+        for name, words in (("calm", "No preset 'calm'"), (str(tmp_path / "air.toml"), "Invalid gamma 100.* to 15;")):
+            given = {"files": [str(files)], "scan": "6-beam", "turbulence": name, "output": str(tmp_path / "out")}
+            with pytest.raises(InputError, match=words):
+                from_files.fit_files(Settings().changed(**given))
         assert not (tmp_path / "out").exists()
 
 

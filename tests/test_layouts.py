@@ -385,6 +385,18 @@ class TestRecords:
         some = records.isel(record=slice(3))
         assert brs.fit(some, scan, seed=1, target_ess=50, sampler="direct", draws="none").n_fitted == 3
 
+    def test_numbers_of_beams_may_be_floats_that_are_whole(self, records):
+        """As other programs make them; bits may not."""
+        options = {"noise": plain_noise(SCAN), "seed": 1, "target_ess": 50, "sampler": "direct", "draws": "none"}
+        floats = records.assign_coords(beam=records["beam"].astype(float))
+        one, other = (brs.fit(given, SCAN, **options).summary() for given in (records, floats))
+        assert one.equals(other)
+        for beam in (records["beam"] + 0.5, records["beam"] * np.inf):
+            bad = records.assign_coords(beam=beam)
+            assert "beam holds numbers, and must hold whole numbers" in refused(lambda: brs.fit(bad, SCAN, **options))
+        bits = records.assign(flag=records["flag"].astype(float))
+        assert "flag holds numbers, and must hold whole numbers" in refused(lambda: brs.fit(bits, SCAN, **options))
+
     def test_no_record(self, made):
         empty = made.isel(record=slice(0))
         assert refused(lambda: brs.fit(empty, "2-beam", seed=1)).startswith("There is no record")

@@ -414,6 +414,23 @@ class TestGoodFiles:
         assert load_netcdf(file)["words"].values[:2].tolist() == ["a", "b"]
 
     @pytest.mark.usefixtures("guard")
+    def test_a_file_is_recognised_without_its_values(self, guard, tmp_path, monkeypatch):
+        """Each value comes over once: the time is that of a sample, and is asked for by every reader that looks."""
+        asked = []
+        real = guard.ask
+        monkeypatch.setattr(guard, "ask", lambda file, request: (asked.append(request), real(file, request))[1])
+        read(write(tmp_path / "a.nc"), SIX)
+        names = [request["name"] for request in asked if request["do"] == "read"]
+        assert "time" in names
+        assert len(names) == len(set(names))
+
+    @pytest.mark.usefixtures("guard")
+    def test_a_status_that_is_no_number(self, tmp_path):
+        velocity = SHORT["radial_velocity"].assign_attrs(positive="away")
+        file = write(tmp_path / "a.nc", SHORT.assign(radial_velocity=velocity).assign_attrs(status_valid="good"))
+        with pytest.raises(InputError, match=r"^Invalid status_valid 'good' in file '.*a\.nc': it must be a number"):
+            read(file, SIX)
+
     def test_texts_that_end_before_their_dimension(self, tmp_path):
         file = tmp_path / "a.nc"
         compound = np.dtype([("kind", "i4"), ("value", "f8")])
@@ -442,6 +459,14 @@ class TestGoodFiles:
         files = [write(tmp_path / f"{number}.nc") for number in range(4)]
         with ThreadPoolExecutor(4) as pool:
             list(pool.map(load_netcdf, files * 10))
+
+    @pytest.mark.usefixtures("guard")
+    def test_threads_that_read_what_is_ours_at_once(self, tmp_path):
+        """As when fits in threads look for the same noise: none closes the file while another one reads it."""
+        file = write(tmp_path / "a.nc")
+        with ThreadPoolExecutor(8) as pool:
+            found = list(pool.map(lambda _: load_netcdf(file, trusted=True).sizes["sample"], range(60)))
+        assert set(found) == {SHORT.sizes["sample"]}
 
     def test_a_process_that_was_killed_in_between(self, guard, tmp_path):
         """It is not the next file's fault, whether that is noticed before the request or after."""

@@ -197,6 +197,18 @@ class TestFile:
             with pytest.raises(InputError, match=r"Cannot write '.*': it is a folder; give the name of a file"):
                 output_file(tmp_path, overwrite=overwrite).__enter__()
 
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+    def test_a_device_or_a_pipe_is_not_replaced(self, tmp_path):
+        os.mkfifo(tmp_path / "pipe")
+        with (
+            pytest.raises(
+                InputError, match=r"^Cannot write '.*pipe': it is a device or a pipe; give the name of a file"
+            ),
+            output_file(tmp_path / "pipe", overwrite=True),
+        ):
+            pass
+        assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
     def test_a_failure_leaves_nothing_and_keeps_what_was_there(self, regular_file):
         with pytest.raises(ValueError, match="bad"), output_file(regular_file, overwrite=True) as part:  # noqa: PT012 - it fails at the end of the block
             part.write_text("half")

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +169,15 @@ class TestKeys:
         inputs = fit_inputs(records, None, choice)
         other = replace(NOISE, bias=NOISE.bias + 1e-16)
         assert len({plan.plan_fit(records, SCAN, some, own, inputs=inputs).key for some in (NOISE, other)}) == 1
+
+    def test_objects_of_the_users_own_have_one_too(self):
+        _, choice = split_options({"seed": 3})
+        records = make_records(2)
+        first, other = (
+            digest(fit_inputs(records.assign(day=("record", [date(2020, 9, day), None])), None, choice))
+            for day in (3, 4)
+        )
+        assert first != other
 
     @pytest.mark.parametrize(
         "change",

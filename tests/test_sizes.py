@@ -49,11 +49,11 @@ class TestChecks:
 
     def test_a_group_without_limit_has_none(self, tmp_path):
         (tmp_path / "memory.max").write_text("max\n")
-        assert sizes._of_group(str(tmp_path / "memory.max")) == np.inf
+        assert sizes._of_group(tmp_path / "memory.max") == np.inf
         (tmp_path / "memory.max").write_text("1000\n")
         (tmp_path / "memory.current").write_text("900\n")
         (tmp_path / "memory.stat").write_text("anon 5\ninactive_file 300\n")
-        assert sizes._of_group(str(tmp_path / "memory.max")) == 400.0
+        assert sizes._of_group(tmp_path / "memory.max") == 400.0
 
     @pytest.mark.parametrize(
         ("n_byte", "words"),
@@ -61,6 +61,18 @@ class TestChecks:
     )
     def test_bytes_in_words(self, n_byte, words):
         assert sizes.in_bytes(n_byte) == words
+
+
+def test_what_only_posix_has_is_not_needed():
+    """Nothing but limits of processes is lost without it."""
+    blocked = "import sys; sys.platform = 'win32'; sys.modules['resource'] = None; from bayes_rs import sizes; "
+    check = subprocess.run(  # noqa: S603 - our own line
+        [sys.executable, "-c", f"{blocked}print(sizes.free_memory() > 0.0)"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (check.stdout, check.stderr) == ("True\n", "")
 
 
 class TestWork:

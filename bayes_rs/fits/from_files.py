@@ -30,6 +30,7 @@ from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
 from bayes_rs.result_folder import ResultFolder
+from bayes_rs.turbulence.mann import load_turbulence
 from bayes_rs.wind.motion import add_motion
 
 Say = Callable[[str], None]
@@ -90,6 +91,8 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     if noise is not None:  # before files are read; the records may have fewer beams
         both = [beam for beam in scan.beam.tolist() if beam in noise.beam] or scan.beam
         noise.select(both).check_scan(scan.select(both))
+    else:
+        load_turbulence(settings.noise.flow)  # a bad file is said before hours of reading
     files = list(settings.files.files)
     records = open_record_files(files, scan)
     if records is None:

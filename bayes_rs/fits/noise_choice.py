@@ -51,7 +51,10 @@ def fit_inputs(records: xr.Dataset, noise: Noise | None, choice: NoiseOptions) -
     from bayes_rs.noise.at_states import NOISE_VERSION  # noqa: PLC0415 - not needed with given noise
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
 
-    variables = {str(name): [list(data.dims), data.values] for name, data in records.variables.items()}
+    variables = {
+        str(name): [list(data.dims), data.values.astype(str) if data.dtype == object else data.values]
+        for name, data in records.variables.items()
+    }
     said = {name: records.attrs[name] for name in _SAID if name in records.attrs}
     made = [NOISE_VERSION, to_plain(choice), load_turbulence(choice.flow)] if noise is None else noise
     return {"noise": made, "records": [variables, said]}

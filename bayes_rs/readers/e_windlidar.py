@@ -17,7 +17,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import open_netcdf
+from bayes_rs.readers.netcdf_file import header_of, open_netcdf
 from bayes_rs.readers.ray_variables import decode_times, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
@@ -41,8 +41,7 @@ _EPOCH = re.compile(r"(?:since|start at)\s+(\d{4}[-/]\d{2}[-/]\d{2}(?:[T ]\d{2}:
 def recognises_e_windlidar(file: Path) -> bool:
     """Say whether a file is in this layout, by its variables."""
     try:
-        with open_netcdf(file, decode_times=False) as dataset:
-            names = set(dataset.variables)
+        names = set(header_of(file).variables)
     except InputError:
         return False
     return {"azimuth_angle", "elevation_angle", "range"} <= names and bool(

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.file_options import VELOCITY_UNITS
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.netcdf_file import SUFFIXES, open_netcdf
+from bayes_rs.readers.netcdf_file import SUFFIXES, header_of, open_netcdf
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
@@ -75,22 +75,28 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
 
 def own_options(file: Path) -> dict[str, Any] | None:
     """Return what a file says about sign, unit and status, if it says the sign: then no preset speaks for it."""
-    with open_netcdf(file) as dataset:
-        attributes = dataset.variables["radial_velocity"].attrs if "radial_velocity" in dataset.variables else {}
-        if "positive" not in attributes:
-            return None
-        options: dict[str, Any] = {"positive": _as_text(attributes["positive"])}
-        if "units" in attributes:
-            unit = _as_text(attributes["units"])
-            if unit not in _UNITS:
-                raise InputError(
-                    f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
-                    f"they must be one of {', '.join(_UNITS)}; correct the attribute."
-                )
-            options["velocity_unit"] = _UNITS[unit]
-        if "status_valid" in dataset.attrs:
-            options["status_valid"] = float(dataset.attrs["status_valid"])
-        return options
+    header = header_of(file)
+    attributes = header.variables.get("radial_velocity", {})
+    if "positive" not in attributes:
+        return None
+    options: dict[str, Any] = {"positive": _as_text(attributes["positive"])}
+    if "units" in attributes:
+        unit = _as_text(attributes["units"])
+        if unit not in _UNITS:
+            raise InputError(
+                f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
+                f"they must be one of {', '.join(_UNITS)}; correct the attribute."
+            )
+        options["velocity_unit"] = _UNITS[unit]
+    if "status_valid" in header.attrs:
+        try:
+            options["status_valid"] = float(header.attrs["status_valid"])
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"Invalid status_valid {in_short(header.attrs['status_valid'])} in file {str(file)!r}: it must be a "
+                "number; correct the attribute."
+            ) from error
+    return options
 
 
 def _as_text(value: object) -> str:

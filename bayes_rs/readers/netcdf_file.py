@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -69,6 +69,35 @@ def load_netcdf(file: Path, *, trusted: bool = False) -> xr.Dataset:
         return dataset.load()
 
 
+class Header(NamedTuple):
+    """What the root of a file says of itself.
+
+    Attributes
+    ----------
+    attrs : dict
+        Its attributes.
+    variables : dict of str to dict
+        The attributes of its variables, by their names.
+    """
+
+    attrs: dict[str, Any]
+    variables: dict[str, dict[str, Any]]
+
+
+def header_of(file: Path) -> Header:
+    """Return what the root of a NetCDF file says of itself; no value is read. See `open_netcdf`."""
+    with _reading(file):
+        if _is_classic(file):
+            with xr.open_dataset(file, engine="scipy", decode_cf=False) as dataset:
+                return Header(dataset.attrs, {str(name): data.attrs for name, data in dataset.variables.items()})
+        try:
+            told = ask(file, "look")[0]["groups"]["/"]
+        finally:
+            with suppress(OSError, InputError):  # nothing is lost by it
+                ask(file, "close")
+        return Header(_attributes(told), {name: _attributes(about) for name, about in told["variables"].items()})
+
+
 @contextmanager
 def _opened(file: Path, *, decode_times: bool, trusted: bool = False) -> Iterator[dict[str, Callable[[], xr.Dataset]]]:
     """Open a file; give what opens each of its groups, by path."""
@@ -120,7 +149,7 @@ class _Group(AbstractDataStore):
             name: xr.Variable(
                 _distinct(about["dims"]),
                 indexing.LazilyIndexedArray(_Values(self, name, about)),
-                {key: _from_json(value) for key, value in about["attrs"].items()},
+                _attributes(about),
                 {"dtype": _dtype(about["dtype"]) if about["dtype"] != TEXT else str},
             )
             for name, about in self.told["variables"].items()
@@ -128,7 +157,7 @@ class _Group(AbstractDataStore):
 
     def get_attrs(self) -> dict[str, Any]:
         """Return the attributes of the group."""
-        return {key: _from_json(value) for key, value in self.told["attrs"].items()}
+        return _attributes(self.told)
 
     def close(self) -> None:
         """Do nothing: who opened the file closes it."""
@@ -169,6 +198,10 @@ def _distinct(dims: list[str]) -> list[str]:
 
 def _dtype(kind: str) -> np.dtype[Any]:
     return np.dtype(object if kind == TEXT else kind)
+
+
+def _attributes(told: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _from_json(value) for key, value in told["attrs"].items()}
 
 
 def _from_json(value: Any) -> Any:

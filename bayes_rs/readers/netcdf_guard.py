@@ -59,14 +59,14 @@ def ask(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | b
     """
     request = {"do": do, **what}
     answer = _guard.ask(file, request)
-    if answer is None:
-        answer = netcdf_process.answer({"file": os.path.abspath(file), **request})  # noqa: PTH100 - links stay
-    return _meaning(file, answer)
+    return ask_here(file, do, **what) if answer is None else _meaning(file, answer)
 
 
 def ask_here(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | bytes]:
     """Have a file that nobody but us can have written looked at, read or closed by this process; as `ask`."""
-    return _meaning(file, netcdf_process.answer({"file": os.path.abspath(file), "do": do, **what}))  # noqa: PTH100
+    with _guard.here:  # one request at a time, as in the other process: a thread may close what another one reads
+        answer = netcdf_process.answer({"file": os.path.abspath(file), "do": do, **what})  # noqa: PTH100 - links stay
+    return _meaning(file, answer)
 
 
 def _meaning(file: Path, answer: _Answer) -> _Answer:
@@ -83,13 +83,17 @@ def _meaning(file: Path, answer: _Answer) -> _Answer:
 
 @dataclass
 class _Guard:
-    """The process, the files on which it hung or died, and what it saw of the last one, which is often opened again."""
+    """The process, the files on which it hung or died, and what it saw of the last one, which is often opened again.
+
+    `lock` is held by who asks the process, `here` by who reads in this one.
+    """
 
     process: subprocess.Popen[bytes] | None = None
     usable: bool = True
     fatal: dict[_Key, str] = field(default_factory=dict)
     seen: tuple[_Key, _Answer] | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
+    here: threading.Lock = field(default_factory=threading.Lock)
 
     def ask(self, file: Path, request: dict[str, str]) -> _Answer | None:
         """Have a request answered, again by a new process if one dies; None where there is no process."""
@@ -132,7 +136,7 @@ class _Guard:
     def forget(self) -> None:
         """Leave the process to whom this one was forked from."""
         process, self.process = self.process, None
-        self.lock = threading.Lock()  # another thread may have held it
+        self.lock, self.here = threading.Lock(), threading.Lock()  # another thread may have held them
         if process is not None:
             process.returncode = 0  # not ours to wait for
             _close(process)

@@ -16,7 +16,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import open_groups, open_netcdf
+from bayes_rs.readers.netcdf_file import header_of, open_groups
 from bayes_rs.readers.ray_variables import (
     decode_times,
     join_rays,
@@ -46,8 +46,7 @@ _REFERENCE = "time_reference"
 def recognises_windcube(file: Path) -> bool:
     """Say whether a file is a WindCube's, by its variables: in the root or in the groups that the root lists."""
     try:
-        with open_netcdf(file, decode_times=False) as root:
-            names = set(root.variables)
+        names = set(header_of(file).variables)
     except InputError:
         return False
     own = {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")}

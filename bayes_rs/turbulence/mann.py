@@ -190,7 +190,7 @@ class _TurbulenceFile(Table):
     source: Text
     dissipation: Size
     length_scale: Size
-    gamma: Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+    gamma: Annotated[float, Field(allow_inf_nan=False)]
 
 
 def load_turbulence(name: str | Path) -> MannTurbulence:
