@@ -271,7 +271,7 @@ def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
 
 
 def _all_whole(values: Any) -> bool:
-    return values.dtype.kind == "f" and bool(np.all(np.isfinite(values) & (values == np.round(values))))
+    return values.dtype.kind == "f" and bool(np.all((np.abs(values) < 2.0**53) & (values == np.round(values))))
 
 
 def _fault_of_values(values: Any, entry: Entry, attributes: Mapping[Any, Any]) -> str:

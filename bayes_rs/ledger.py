@@ -146,6 +146,8 @@ def read_ledger(folder: Path) -> Ledger | None:
         elif "n_file" in entry:
             ledger.finished = entry["n_file"] == len(ledger.files)
             ledger.damaged |= not ledger.finished
+        elif "path" not in entry or ("sha256" in entry) != ("n_byte" in entry):
+            ledger.damaged = True
         else:
             found = Fingerprint(entry["n_byte"], entry["sha256"]) if "sha256" in entry else None
             ledger.put(entry["path"], found, beside="beside" in entry)

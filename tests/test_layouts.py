@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -331,6 +332,8 @@ class TestFolderThatWasSealedAgain:
             {"key": 1, "key_parts": {}},
             {"n_file": "1"},
             {"path": "a", "sha256": "b", "n_byte": "c"},
+            {"path": "a", "sha256": "b"},
+            {"path": "a", "n_byte": 3},
         ],
     )
     def test_a_line_of_the_list(self, folder, entry):
@@ -392,8 +395,8 @@ class TestRecords:
         one, other = (brs.fit(given, SCAN, **options).summary() for given in (records, floats))
         assert one.equals(other)
         for beam in (records["beam"] + 0.5, records["beam"] * np.inf):
-            bad = records.assign_coords(beam=beam)
-            assert "beam holds numbers, and must hold whole numbers" in refused(lambda: brs.fit(bad, SCAN, **options))
+            fitted = partial(brs.fit, records.assign_coords(beam=beam), SCAN, **options)
+            assert "beam holds numbers, and must hold whole numbers" in refused(fitted)
         bits = records.assign(flag=records["flag"].astype(float))
         assert "flag holds numbers, and must hold whole numbers" in refused(lambda: brs.fit(bits, SCAN, **options))
 

@@ -135,7 +135,8 @@ class _Problem:
         weight = np.linalg.inv(noise)
         theta = np.zeros((len(self.datum), ANY_AIR.n_coordinate + self.place.shape[1]))
         level = np.where(self.used, self.datum - self.model(theta[:, None])[:, 0], np.nan)
-        theta[:, 0] = np.nanmedian(level, axis=1) / ANY_AIR.sd_uu
+        known = np.isfinite(level).any(axis=1)  # none of a record whose variances have no logarithm
+        theta[known, 0] = np.nanmedian(level[known], axis=1) / ANY_AIR.sd_uu
         identity = np.eye(theta.shape[1])
         for _ in range(_N_STEP):
             residual, slope = self.linear(theta)

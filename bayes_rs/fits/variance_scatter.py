@@ -214,7 +214,8 @@ def _time_scale(whole: FloatArray, expected: FloatArray, columns: list[int], dur
     scale: a normal density with the records' own spread would believe the quiet halves of chance more than the others.
     """
     log_weight = -0.5 * (np.log(_TIME_SCALES / _TYPICAL_SCALE) / _SCALE_LOG_SD) ** 2
-    if len(whole) >= _LEAST_RECORDS and len(columns) > 1:
+    enough = len(whole) >= _LEAST_RECORDS and len(columns) > 1
+    if enough and np.all(whole[:, columns].mean(axis=0) > 0.0):  # blocks that are all the same tell of no time
         mean, size = whole[:, columns].mean(axis=0), expected[:, columns].mean(axis=0)
         spread = whole[:, columns].var(axis=0) / mean**2 / len(whole) / _NESTED
         precision = 1.0 / (spread + _THEORY_ERROR**2)

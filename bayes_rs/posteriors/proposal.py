@@ -137,7 +137,8 @@ def _curvature(posterior: Posterior, mode: FloatArray) -> tuple[FloatArray, Floa
     jacobian = (residual[:, forward] - residual[:, backward]) / (2.0 * _STEP)  # (record, n, seen)
     log_prior = posterior.log_prior(around)
     height = posterior.likelihood.log_density(*seen) + log_prior
-    gradient = (height[:, forward] - height[:, backward]) / (2.0 * _STEP)
+    with np.errstate(invalid="ignore"):  # no slope, and no proposal, where the density is nowhere above zero
+        gradient = (height[:, forward] - height[:, backward]) / (2.0 * _STEP)
     bend = (log_prior[:, forward] + log_prior[:, backward] - 2.0 * log_prior[:, :1]) / _STEP**2
     precision = jacobian @ jacobian.swapaxes(-1, -2) + np.eye(n) * np.maximum(-bend, _LEAST_BEND)[:, None, :]
     return gradient, precision
