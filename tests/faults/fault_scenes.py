@@ -35,15 +35,19 @@ def start(*arguments, folder, size=None, own=None):
         "MPLCONFIGDIR": os.environ.get("MPLCONFIGDIR", str(folder / "matplotlib")),
     }
     program = ["-m", "bayes_rs"] if own is None else ["-c", own]
-    return subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, *program, *map(str, arguments)],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=None if size is None else partial(_full_disk, size),  # noqa: PLW1509 - no threads here
-    )
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores interrupts
+    try:
+        return subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, *program, *map(str, arguments)],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=None if size is None else partial(_full_disk, size),  # noqa: PLW1509 - no threads here
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def run(*arguments, folder, size=None, own=None):
