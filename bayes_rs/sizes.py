@@ -97,7 +97,7 @@ def in_bytes(n_byte: float) -> str:
     Examples
     --------
     >>> in_bytes(3.2e9), in_bytes(2e22)
-    ('3 GiB', '2e+13 GiB')
+    ('3 GiB', '1.86e+13 GiB')
     """
     for name, size in (("GiB", 2.0**30), ("MiB", 2.0**20)):
         if n_byte >= size:
