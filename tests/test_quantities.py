@@ -186,6 +186,7 @@ EXTREMES = [
     (QualityRules, {"trend_level": "0.01"}, "Invalid trend_level '0.01'"),
     (RecordOptions, {"duration": 1e-300}, "Invalid duration 1e-300 s"),
     (RecordOptions, {"duration": "600"}, "Invalid duration '600' s"),
+    (QualityRules, {"cnr_range": np.array([1j])}, "Invalid cnr_range"),
     (FileOptions, {"time_format": "%n"}, "Invalid time_format '%n': it must be a pattern that can be read and states"),
     (FileOptions, {"time_format": "%Y%"}, "Invalid time_format '%Y%'"),
     (

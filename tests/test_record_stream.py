@@ -15,7 +15,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.quality import QualityRules
 from bayes_rs.records.making import make_records
-from bayes_rs.records.stream import StreamState, add_chunk, stream_records
+from bayes_rs.records.stream import StreamState, add_chunk, join_blocks, stream_records
 
 START = np.datetime64("2020-09-03T19:03:20", "ns")  # within a record
 SCAN = load_scan("6-beam")
@@ -145,6 +145,22 @@ class TestRefused:
             stream_records([], SCAN)
         with pytest.raises(InputError, match=r"Invalid series: it holds no sample"):
             stream_records([SERIES.isel(sample=[])], SCAN)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            lambda block: block.rename_vars(variance="variance_x"),
+            lambda block: block.isel(part=slice(2)),
+            lambda block: block.drop_vars("count"),
+        ],
+    )
+    @pytest.mark.parametrize("first", [True, False])
+    def test_blocks_of_another_layout(self, change, first):
+        """As one that was changed on the disk, with its fingerprint."""
+        blocks = [WHOLE, change(WHOLE)] if first else [change(WHOLE), WHOLE]
+        closed = StreamState(columns=dict.fromkeys(("radial_velocity", "cnr", "status"), np.empty(0)))
+        with pytest.raises(InputError, match=r"do not go with the others, in .*: overwrite the folder"):
+            join_blocks(blocks, closed, SCAN, **OPTIONS)
 
     def test_chunks_that_differ(self):
         one, other = chunks(SERIES, [500])

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import as_items, check_prob, check_switch
+from bayes_rs._validation import as_items, check_choice, check_prob, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
 from bayes_rs.fits.direction_table import direction_rows
 from bayes_rs.fits.fit_data import FitData
-from bayes_rs.fits.frames import lidar_frame
+from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import GROUPS, attributes, group_of
 from bayes_rs.fits.summary_anew import summarize
 from bayes_rs.fits.words import describe, failure_lines, flag_lines, least_seen
@@ -116,6 +116,7 @@ class Fit(FitData):
         """
         own = self.settings["fit"]
         check_switch(campaign, what="campaign")
+        check_choice(frame, FRAMES, what="frame")
         if prob is not None:
             check_prob(prob)
         wanted = tuple(own["derived"]) if derived is None else tuple(as_items(derived, what="derived"))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import check_choice, check_count, check_finite, check_positive
+from bayes_rs._validation import as_number, check_choice, check_count, check_finite, check_positive
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option
 from bayes_rs.quality.sectors import Sector
@@ -193,7 +193,7 @@ class QualityRules:
 
 def _pair(value: Any, *, what: str, unit: str) -> Pair:
     try:
-        low, high = (float(bound) for bound in value)
+        low, high = (as_number(bound) for bound in value)
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low < high:

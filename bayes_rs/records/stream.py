@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -243,6 +243,7 @@ def join_blocks(
     windows = record_windows(np.concatenate(number), window, len(beams))
     n_record = len(windows)
     empty = _empty_record(blocks[0], scan, state, quality, options)
+    _check_same(blocks, empty)
     start = (windows * window).astype("datetime64[ns]")
     rows = [np.searchsorted(windows, of) for of in number]
     column = [np.searchsorted(beams, block["beam"].values, sorter=np.argsort(beams)) for block in blocks]
@@ -379,6 +380,27 @@ def _series(
         coords={"time": ("sample", time.astype("datetime64[ns]")), "beam": ("sample", beam)},
         attrs=dict(attributes),
     )
+
+
+def _check_same(blocks: Sequence[xr.Dataset], empty: xr.Dataset) -> None:
+    """Refuse blocks whose variables are not those of a record, or have not as many entries as there."""
+    first = _layout_of(blocks[0])
+    for block in (empty, *blocks):
+        found = _layout_of(block)
+        wrong = sorted(name for name in first if first[name] != found.get(name))
+        if wrong:
+            raise InputError(
+                f"Records that were made of some of the files do not go with the others, in {', '.join(wrong[:5])}: "
+                "overwrite the folder to make all of them again."
+            )
+
+
+def _layout_of(records: xr.Dataset) -> dict[str, dict[str, int]]:
+    """Return the lengths of every variable's dimensions, without records and beams, which may be fewer."""
+    return {
+        str(name): {str(dim): size for dim, size in data.sizes.items() if dim not in ("record", "beam")}
+        for name, data in records.data_vars.items()
+    }
 
 
 def _empty_record(

@@ -164,7 +164,7 @@ def _with_errors(
     along = np.stack([np.cos(yaw), -np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     across = np.stack([np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)], axis=-1)
     along = np.where(seen[:, None], along, [1.0, 0.0, 0.0])  # a projection stands in the first row, see HorizontalWind
-    with np.errstate(invalid="ignore", divide="ignore"):  # a wind that is not seen, or zero: not known
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # a wind that is not seen, or zero: not known
         speed_sd = np.sqrt(np.einsum("ri,rij,rj->r", along, covariance, along))
         yaw_sd = np.degrees(np.sqrt(np.einsum("ri,rij,rj->r", across, covariance, across)) / speed)
     if not vertical:
