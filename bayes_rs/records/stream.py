@@ -384,10 +384,10 @@ def _series(
 
 def _check_same(blocks: Sequence[xr.Dataset], empty: xr.Dataset) -> None:
     """Refuse blocks whose variables are not those of a record, or have not as many entries as there."""
-    first = _layout_of(blocks[0])
-    for block in (empty, *blocks):
+    right = _layout_of(empty)
+    for block in blocks:
         found = _layout_of(block)
-        wrong = sorted(name for name in first if first[name] != found.get(name))
+        wrong = sorted(name for name in right.keys() | found.keys() if right.get(name) != found.get(name))
         if wrong:
             raise InputError(
                 f"Records that were made of some of the files do not go with the others, in {', '.join(wrong[:5])}: "
