@@ -50,7 +50,9 @@ def main() -> NoReturn:
                 with suppress(ValueError):  # a thread may not
                     signal.signal(number, _end)
         code = _run()
-        code = _written(code)
+        for stream in (sys.stdout, sys.stderr):  # while an error there can have its words
+            if stream is not None:
+                stream.flush()
     except BaseException as error:  # noqa: BLE001 - the last resort
         code = _last_words(error)
     _leave(code)
@@ -74,14 +76,6 @@ def _run() -> int:
             raise
         raise BrokenPipeError from error  # click ends without a word then, and puts something quiet in its place
     return code if isinstance(code, int) else 0
-
-
-def _written(code: int) -> int:
-    """Write what is still to be written, while an error there can have its words."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    return code
 
 
 def _last_words(error: BaseException) -> int:

@@ -24,7 +24,7 @@ from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.folder_tables import DATASETS, FolderTables
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.plan import LAYOUT, N_PRIOR_DRAW, Plan
-from bayes_rs.fits.run_file import checked_run
+from bayes_rs.fits.run_file import RunOfFit, checked_run
 from bayes_rs.fits.tables import ADVICE, names_of_part, read_table, write_table
 from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.scan import Scan
@@ -121,7 +121,8 @@ def fit_into(
                 _write_part(folder, done, of_index[done.index])
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
-        tables = FolderTables(folder, checked_run(run, str(folder.path / RUN_FILE)), plan.scan.beam.tolist())
+        checked = checked_run(run, str(folder.path / RUN_FILE))
+        tables = FolderTables(folder, checked, plan.scan.beam.tolist())
         try:
             run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
         except (InputError, OSError):
@@ -133,7 +134,7 @@ def fit_into(
             "resume goes on from there."
         )
         raise
-    found = _fit_in(folder, run, plan.scan, str(folder.path))
+    found = _fit_in(folder, run, checked, plan.scan, str(folder.path))
     try:
         _write_exports(folder, found)
         counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
@@ -178,9 +179,8 @@ def open_fit(folder: str | Path) -> Fit:
     run = opened.run()
     if "settings" not in run or "n_record" not in run:
         raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
-    checked_run(run, str(opened.path / RUN_FILE))
-    scan = load_scan_text(run["scan_toml"], name=run["scan"])
-    return _fit_in(opened, run, scan, str(folder))
+    checked = checked_run(run, str(opened.path / RUN_FILE))
+    return _fit_in(opened, run, checked, load_scan_text(checked.scan_toml, name=checked.scan), str(folder))
 
 
 def _folder_of(place: Path) -> Path:
@@ -188,8 +188,8 @@ def _folder_of(place: Path) -> Path:
     return place.parent if place.is_file() and (place.parent / LEDGER).is_file() else place
 
 
-def _fit_in(folder: ResultFolder, run: Mapping[str, Any], scan: Scan, place: str) -> Fit:
-    tables = FolderTables(folder, checked_run(run, str(folder.path / RUN_FILE)), scan.beam.tolist())
+def _fit_in(folder: ResultFolder, run: Mapping[str, Any], checked: RunOfFit, scan: Scan, place: str) -> Fit:
+    tables = FolderTables(folder, checked, scan.beam.tolist())
     return Fit(run, scan, tables, _InFolder(folder, tables), place)
 
 

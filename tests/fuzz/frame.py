@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -167,9 +167,3 @@ def _complaint(code: int, text: str) -> str:
 
 def _last(text: str, word: str) -> str:
     return f" ... {text.strip().splitlines()[-1][:200]}" if word.startswith("Traceback") else ""
-
-
-def run_cases(cases: Iterator[Case] | list[Case]) -> Iterator[Outcome]:
-    """Try cases one after the other."""
-    for case in cases:
-        yield try_case(case)
