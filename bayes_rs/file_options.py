@@ -16,7 +16,7 @@ from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option, options_of
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
-DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
+DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance", "range", "height", "gate")
 """What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
 TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
@@ -54,9 +54,10 @@ class FileOptions:
     away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
 
     ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also
-    ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
-    number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
-    files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)
+    ``azimuth``, ``elevation``, ``distance`` (or ``range``), ``height``, ``gate``, ``sx``, ``sy`` and ``phase``. In a
+    file without headings a column is its number, from 1. ``beam_numbers``, if given, must name every beam of the files.
+    ``time_zone`` is of text and Parquet files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or
+    ``labview`` (seconds since 1970 or 1904)
     or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
     times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
     of their spacing of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign,
@@ -109,6 +110,9 @@ class FileOptions:
     )
     range_tolerance: float | None = option(
         None, "Largest difference between a gate and a beam's focus distance", unit="m"
+    )
+    gate_length: float | None = option(
+        None, "Length of a range gate in files that only number their gates: gate n is at (n + ½) of it", unit="m"
     )
     phase_zero_deg: float | None = option(
         None, "Where on its cone a ZX's phase is zero: 0 is sideways (y), 90 up", unit="degrees", flag="--phase-zero"
@@ -165,6 +169,7 @@ class FileOptions:
             ("sample_duration", "s"),
             ("angle_tolerance_deg", "degrees"),
             ("range_tolerance", "m"),
+            ("gate_length", "m"),
         ):
             put(name, _number, check=check_positive, unit=unit)
         if self.time_zone is not None:
