@@ -9,6 +9,7 @@ import pandas as pd
 from ray_files import SLANT, RayTable
 
 HEIGHTS = (60, 100, 150, 200)
+"""m; those of the beams of a scan with planes at 100 and 150 m, and one before and behind."""
 MILLENNIUM = np.datetime64("2000-01-01", "ns")
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from format_files import (
@@ -28,6 +29,7 @@ from format_files import (
     write_zx,
 )
 from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_text_files import at_heights, gate_frame, ray_frame, write_molas, write_rtd, write_scn, write_windscanner
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
@@ -39,6 +41,8 @@ ZX = load_scan("zx-tm")
 SPINNER = load_scan("spinnerlidar")
 SHORT = series_of(SIX, n_scan=8)
 RAYS = rays_of(SHORT, SIX)
+TWO = six_beam(100.0, 150.0, step=1.0)
+PLANES = rays_of(series_of(TWO, n_scan=8), TWO, rough=False)
 CPU_SECONDS_PER_FILE = 60.0
 """What a file may take of the processor, and not of the clock: reading one takes a tenth of a second."""
 FOR_EVER = 3600.0
@@ -115,6 +119,11 @@ def table(file: Path, frame=long_frame, **options) -> Path:
     return file
 
 
+def framed(file: Path, frame: pd.DataFrame) -> Path:
+    frame.rename(columns={"velocity": "radial velocity [m/s]"}).to_csv(file, index=False)
+    return file
+
+
 def packed(file: Path, suffix: str) -> Path:
     plain = table(file)
     result = compress(plain, suffix)
@@ -152,6 +161,19 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     "zx by headings": (
         lambda folder: write_mini_raw(folder / "a.csv", series_of(ZX, n_scan=2), ZX),
         {"scan": ZX, "phase_zero_deg": 0.0, "phase_turns": "up"},
+    ),
+    "windscanner": (lambda folder: write_windscanner(folder / "a.txt", PLANES), {"scan": TWO}),
+    "galion": (lambda folder: write_scn(folder / "a.scn", PLANES), {"scan": TWO, "gate_length": 45.0}),
+    "rtd": (lambda folder: write_rtd(folder / "a.rtd", at_heights(PLANES)), {"scan": TWO}),
+    "rtd of version 1": (
+        lambda folder: write_rtd(folder / "a.rtd", at_heights(PLANES), version=1),
+        {"scan": TWO},
+    ),
+    "molas": (lambda folder: write_molas(folder / "a.csv", PLANES), {"scan": TWO}),
+    "table of rays": (lambda folder: framed(folder / "a.csv", ray_frame(PLANES)), {"scan": TWO, "positive": "away"}),
+    "columns for gates": (
+        lambda folder: framed(folder / "a.csv", gate_frame(PLANES, velocity="rws_{}", distance="range_{}")),
+        {"scan": TWO, "positive": "away"},
     ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),

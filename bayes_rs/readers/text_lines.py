@@ -68,9 +68,10 @@ class TextLines:
         """Return how many entries each line has; none if it is blank."""
         at = np.flatnonzero(self.raw == ord(separator))
         count = np.searchsorted(at, self.end) - np.searchsorted(at, self.start) + 1
-        inked = np.flatnonzero(self.raw > _SPACE)
-        blank = np.searchsorted(inked, self.end) == np.searchsorted(inked, self.start)
-        return np.where(blank & (count == 1), 0, count).astype(np.int64)
+        for index in np.flatnonzero(count == 1).tolist():  # as a rule none, or the last
+            if not (self.raw[self.start[index] : self.end[index]] > _SPACE).any():
+                count[index] = 0
+        return count.astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ class TextRows:
         return PlacedColumn(name, own, self.frame[index], self.file, "line", 1, self.rows)
 
 
-def read_lines(file: Path) -> TextLines:
-    """Read a text file.
+def read_lines(file: Path, *, without: Sequence[bytes] = (b"\0",)) -> TextLines:
+    """Read a text file, without the characters in `without`.
 
     Raises
     ------
@@ -97,7 +98,10 @@ def read_lines(file: Path) -> TextLines:
         If it cannot be read.
     """
     try:
-        raw = np.frombuffer(file.read_bytes().replace(b"\0", b""), dtype=np.uint8)
+        held = file.read_bytes()
+        for character in without:
+            held = held.replace(character, b"")
+        raw = np.frombuffer(held, dtype=np.uint8)
     except UNREADABLE as error:
         raise unreadable(file, error) from error
     end = np.flatnonzero(raw == _NEWLINE)
@@ -134,8 +138,8 @@ def whole_rows(
     n_field : sequence of int
         Numbers of entries that a whole line may have.
     columns, text : sequence of int
-        The columns to read, from 0, and those of them that are kept as text. The last entry of a line must not be
-        among them: a line that is cut within it is taken for whole.
+        The columns to read, from 0, and those of them that are kept as text. If the last entry of a line is among
+        them, a last line without a newline may be cut within it, and is dropped.
 
     Raises
     ------
@@ -152,6 +156,8 @@ def whole_rows(
             "cut off, or of another format."
         )
     n_row = int(np.flatnonzero(good)[-1]) + 1
+    if n_row == len(good) > 1 and max(columns) + 1 >= count[inked[-1]] and lines.raw[-1] != _NEWLINE:
+        n_row -= 1
     bad = np.flatnonzero(~good[:n_row])
     tail = len(good) - n_row
     if len(bad) or tail > _MOST_TAIL:
