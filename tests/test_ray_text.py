@@ -387,7 +387,7 @@ class TestTablesOfRays:
         [
             ({"cnr": "LOS velocity"}, r"several columns that may be the radial velocity .*'rws', 'LOS velocity'"),
             ({"cnr": "az"}, r"several columns that may be the azimuth of its rays, 'azimuth', 'az': say which with"),
-            ({"cnr": "date"}, r"several columns that may be the time of its rays, 'time', 'date'"),
+            ({"cnr": "timestamp"}, r"several columns that may be the time of its rays, 'time', 'timestamp'"),
             ({"distance": "where"}, r"has no column for the distance, or height, or gate with gate_length of its rays"),
             ({"time": "when"}, r"has no column for the time of its rays: its columns are 'when'"),
         ],
@@ -396,6 +396,24 @@ class TestTablesOfRays:
         ray_frame(RAYS, velocity="rws", **names).to_csv(tmp_path / "a.csv", index=False)
         with pytest.raises(InputError, match=message):
             read(tmp_path / "a.csv", SIX, positive="away")
+
+    def test_a_date_and_a_time_of_the_day(self, tmp_path):
+        frame = ray_frame(RAYS, velocity="rws", time="Time")
+        frame.insert(3, "Date", frame["Time"].dt.strftime("%Y-%m-%d"))
+        frame["Time"] = frame["Time"].dt.strftime("%H:%M:%S.%f")
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert_read_back(read(tmp_path / "a.csv", SIX, positive="away"))
+        frame.loc[4, "Time"] = "noon"
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        with pytest.raises(InputError, match=r"Invalid time '2024-03-01 noon' in column 'Date Time', line 6 of file"):
+            read(tmp_path / "a.csv", SIX, positive="away")
+
+    def test_what_is_not_in_decibels_is_no_cnr(self, tmp_path):
+        frame = ray_frame(RAYS, velocity="rws", cnr="SNR [1]")
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert "cnr" not in read(tmp_path / "a.csv", SIX, positive="away")
+        with pytest.raises(InputError, match=r"Unknown unit '1' in the heading 'SNR \[1\]' .* it must be dB"):
+            read(tmp_path / "a.csv", SIX, positive="away", columns={"cnr": "SNR [1]"})
 
     def test_rows_without_a_distance_are_dropped_and_counted(self, tmp_path):
         frame = ray_frame(RAYS, velocity="rws")

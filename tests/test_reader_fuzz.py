@@ -30,10 +30,11 @@ from format_files import (
 )
 from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
 from ray_text_files import at_heights, gate_frame, ray_frame, write_molas, write_rtd, write_scn, write_windscanner
+from test_sonic_series import wind_of, write_toa5
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import netcdf_guard, read, read_statistics
+from bayes_rs.readers import netcdf_guard, read, read_sonic, read_statistics
 from bayes_rs.readers.netcdf_file import load_netcdf
 
 SIX = six_beam(45.0, step=1.0)
@@ -177,6 +178,7 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
+    "sonic": (lambda folder: write_toa5(folder / "a.dat", wind_of(60)), {"sonic": True}),
     "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
 }
 COMPILED: dict[str, Callable[[Path], Path]] = {
@@ -198,11 +200,16 @@ COMPILED["parquet"] = parquet
 COMPILED["heap"] = COMPILED["netcdf"]
 
 
-def check(file: Path, *, scan=SIX, statistics: bool = False, **options) -> bool:
+def check(file: Path, *, scan=SIX, statistics: bool = False, sonic: bool = False, **options) -> bool:
     """Read a damaged file; whether it gave a series. Any other error than ours goes up."""
     try:
         if statistics:
             return bool(read_statistics(file).sizes["time"] >= 0)
+        if sonic:
+            wind = read_sonic(file)
+            assert (np.diff(wind["time"].values) > np.timedelta64(0, "ns")).all()
+            assert not np.isinf(wind["u"].values).any()
+            return wind.sizes["time"] >= 0
         series = read(file, scan, **options)
     except InputError as error:
         message = str(error)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from bayes_rs.errors import InputError
+from bayes_rs.readers.headings import IS_RATIO, SAYS_PLACE, Heading, take_apart, unknown_unit
 from bayes_rs.readers.table import Table
 
 NEEDED = ("time", "azimuth", "elevation", "radial_velocity")
@@ -35,42 +36,6 @@ _WORDS = {
 }
 """Headings in lower case, without units and signs; of the last six the first pattern that fits counts."""
 _FIRST_COUNTS = ("cnr", "status", "distance", "height", "gate")
-_BRACKETS = re.compile(r"\s*[\[(]([^\[\]()]*)[\])]\s*")
-_UNIT_AT_END = re.compile(r"(.+?) (deg(?:rees?)?|rad(?:ians?)?|m(?:et(?:er|re)s?)?|km|db|m s(?: 1)?|ms 1|mps)")
-_NUMBER = re.compile(r"(?<![a-z0-9.])(\d+(?:\.\d+)?)(?: ?(m)(?:et(?:er|re)s?)?)?(?![a-z0-9.])")
-_FILLER = re.compile(r"\b(?:at|gate|of|in|the)\b")
-_SAYS_PLACE = {
-    "distance": re.compile(r"\b(?:range|distance|dist)\b"),
-    "height": re.compile(r"\b(?:height|altitude)\b"),
-}
-
-
-@dataclass(frozen=True)
-class Heading:
-    """A heading taken apart.
-
-    Parameters
-    ----------
-    own : str
-        As in the file.
-    words : str
-        Its words in lower case, without unit; without its number, too, if it has just one.
-    unit : str
-        What stands in brackets or at the end, in lower case; empty if nothing does.
-    number : float, optional
-        The number in it.
-    metres : bool
-        Whether the number is followed by m.
-    place : str, optional
-        ``distance`` or ``height``, if a word beside the number says so.
-    """
-
-    own: str
-    words: str
-    unit: str
-    number: float | None = None
-    metres: bool = False
-    place: str | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +44,9 @@ class RayColumns:
 
     Parameters
     ----------
-    time, azimuth, elevation : Heading
+    time : tuple of Heading
+        One column, or one of dates and one of times of the day.
+    azimuth, elevation : Heading
     radial_velocity, cnr, status : tuple of Heading
         One, or one for each gate; empty for what the table does not have.
     place : str
@@ -90,7 +57,7 @@ class RayColumns:
         Whether a row is a whole ray, with a column for each gate.
     """
 
-    time: Heading
+    time: tuple[Heading, ...]
     azimuth: Heading
     elevation: Heading
     radial_velocity: tuple[Heading, ...]
@@ -99,39 +66,6 @@ class RayColumns:
     place: str
     place_columns: tuple[Heading, ...]
     per_gate: bool
-
-
-def take_apart(own: str) -> Heading:
-    """Take a heading apart.
-
-    Examples
-    --------
-    >>> take_apart("Radial Wind Speed [m/s]")
-    Heading(own='Radial Wind Speed [m/s]', words='radial wind speed', unit='m/s', number=None, metres=False, place=None)
-    >>> found = take_apart("RWS_100m")
-    >>> found.words, found.number, found.metres
-    ('rws', 100.0, True)
-    """
-    text, unit = own.strip(), ""
-    for inside in _BRACKETS.findall(text):
-        text = text.replace(f"[{inside}]", " ").replace(f"({inside})", " ")
-        if re.fullmatch(r"\s*\d+(?:\.\d+)?\s*m?\s*", inside):
-            text += f" {inside}"
-        else:
-            unit = inside.strip().lower()
-    text = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", text).lower()
-    text = re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", text)
-    text = " ".join(re.sub(r"(?<!\d)\.|\.(?!\d)|[^\w.]|_", " ", text).split())
-    at_end = _UNIT_AT_END.fullmatch(text)
-    if at_end and not unit and not re.search(r"\d$", at_end[1]):
-        text, unit = at_end[1], {"m s": "m/s", "m s 1": "m/s", "ms 1": "m/s", "mps": "m/s"}.get(at_end[2], at_end[2])
-    numbers = _NUMBER.findall(text)
-    if len(numbers) != 1:
-        return Heading(own, text, unit)
-    rest = _NUMBER.sub(" ", text)
-    place = next((name for name, word in _SAYS_PLACE.items() if word.search(rest)), None)
-    words = " ".join(_FILLER.sub(" ", rest).split())
-    return Heading(own, words, unit, float(numbers[0][0]), bool(numbers[0][1]), place)
 
 
 def find_ray_columns(table: Table) -> RayColumns:
@@ -143,7 +77,7 @@ def find_ray_columns(table: Table) -> RayColumns:
         If one is missing, or could be several. The message lists them and says how to name one.
     """
     headings = [take_apart(heading) for heading in table.headings]
-    one = {name: _needed(table, headings, name) for name in ("time", "azimuth", "elevation")}
+    azimuth, elevation = (_needed(table, headings, name) for name in ("azimuth", "elevation"))
     velocity = _columns(table, headings, "radial_velocity")
     if not velocity:
         raise _missing(table, "radial_velocity")
@@ -152,13 +86,19 @@ def find_ray_columns(table: Table) -> RayColumns:
         and velocity[0].own not in _mapped(table, "radial_velocity")
         and all(heading.number is not None for name in _PLACES for heading in _candidates(table, headings, name))
     )
-    others = {name: _beside(_columns(table, headings, name), velocity, per_gate) for name in _OPTIONAL}
+    in_decibels = [heading for heading in headings if heading.unit in ("", "db") and not IS_RATIO.search(heading.own)]
+    of = {"cnr": headings if "cnr" in table.file_format.columns else in_decibels, "status": headings}
+    others = {name: _beside(_columns(table, of[name], name), velocity, per_gate) for name in _OPTIONAL}
+    if others["cnr"] and others["cnr"][0] not in in_decibels:
+        raise unknown_unit(table.file, others["cnr"][0], "dB")
     for name in _OPTIONAL:
         if name in table.file_format.required and not others[name]:
             raise _missing(table, name)
     place, columns = _place(table, headings, velocity, per_gate=per_gate)
     return RayColumns(
-        **one,
+        time=_time(table, headings),
+        azimuth=azimuth,
+        elevation=elevation,
         radial_velocity=velocity,
         cnr=others["cnr"],
         status=others["status"],
@@ -207,7 +147,7 @@ def _words_of(heading: Heading, name: str) -> str:
     """Return the words to compare; a word beside the number that says what the number is is none of them."""
     if heading.number is None or heading.place is None or name in _PLACES:
         return heading.words
-    return " ".join(_SAYS_PLACE[heading.place].sub(" ", heading.words).split())
+    return " ".join(SAYS_PLACE[heading.place].sub(" ", heading.words).split())
 
 
 def _needed(table: Table, headings: Iterable[Heading], name: str) -> Heading:
@@ -219,6 +159,14 @@ def _needed(table: Table, headings: Iterable[Heading], name: str) -> Heading:
     if len(found) > 1:
         raise _ambiguous(table, name, found)
     return found[0]
+
+
+def _time(table: Table, headings: Iterable[Heading]) -> tuple[Heading, ...]:
+    """Return the column of times, or those of the date and of the time of the day, in this order."""
+    found = _candidates(table, headings, "time")
+    if sorted(heading.words for heading in found) == ["date", "time"]:
+        return tuple(sorted(found, key=lambda heading: heading.words))
+    return (_needed(table, headings, "time"),)
 
 
 def _columns(table: Table, headings: Iterable[Heading], name: str) -> tuple[Heading, ...]:

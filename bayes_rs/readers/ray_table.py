@@ -17,10 +17,11 @@ from bayes_rs.file_options import VELOCITY_UNITS
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.headings import Heading, unknown_unit
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_groups import GateRows, check_angles, counts_of, rays_of_rows
-from bayes_rs.readers.ray_headings import Heading, RayColumns, find_ray_columns, looks_like_rays
+from bayes_rs.readers.ray_headings import RayColumns, find_ray_columns, looks_like_rays
 from bayes_rs.readers.ray_times import times_of_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.samples import Samples
@@ -83,11 +84,14 @@ class _Data:
 
     def __init__(self, table: Table, columns: RayColumns) -> None:
         self.table, self.columns = table, columns
-        every = (columns.time, columns.azimuth, columns.elevation)
+        every = (*columns.time, columns.azimuth, columns.elevation)
         more = (*columns.radial_velocity, *columns.cnr, *columns.status, *columns.place_columns)
         wanted = list(dict.fromkeys(heading.own for heading in (*every, *more)))
-        (self._frame, _), *_rest = table.pieces(wanted, text=[columns.time.own])
-        column = table.column(self._frame, "time", columns.time.own)
+        (self._frame, _), *_rest = table.pieces(wanted, text=[heading.own for heading in columns.time])
+        column, *of_day = (table.column(self._frame, "time", heading.own) for heading in columns.time)
+        for other in of_day:
+            both = column.values.astype("string").str.strip() + " " + other.values.astype("string").str.strip()
+            column = replace(column, heading=f"{column.heading} {other.heading}", values=both)
         self.time, self.invalid = times_of_rays(column, table.file_format)
         self.row = column.first_row + np.arange(len(self._frame), dtype=np.int64)
         self.row_word = column.row_word
@@ -122,7 +126,7 @@ class _Data:
             return (values + 0.5) * self.table.file_format.gate_length
         for heading in columns.place_columns:
             if heading.unit not in _METRES:
-                raise _unit(file, heading, "m or km")
+                raise unknown_unit(file, heading, "m or km")
         values = values * (_METRES[columns.place_columns[0].unit] if columns.place_columns else 1.0)
         if columns.place == "height":
             rise = np.sin(np.deg2rad(self.elevation))[:, np.newaxis]
@@ -131,7 +135,7 @@ class _Data:
 
     def _angle(self, name: str, heading: Heading) -> FloatArray:
         if heading.unit not in (*_DEGREES, *_RADIANS):
-            raise _unit(self.table.file, heading, "degrees or radians")
+            raise unknown_unit(self.table.file, heading, "degrees or radians")
         block = self.values(name, [heading])
         angle = np.zeros(len(self.row)) if block is None else block[:, 0]
         angle = np.rad2deg(angle) if heading.unit in _RADIANS else angle
@@ -200,7 +204,7 @@ def _with_unit(columns: RayColumns, file_format: FileFormat, file: Path) -> File
         return file_format
     unit = _SPEEDS.get(re.sub(r"\s|\^|\*|⁻¹", "", heading.unit.replace("⁻¹", "-1")))
     if unit is None:
-        raise _unit(file, heading, ", ".join(VELOCITY_UNITS))
+        raise unknown_unit(file, heading, ", ".join(VELOCITY_UNITS))
     if "velocity_unit" in file_format.from_format:
         return replace(file_format, velocity_unit=unit)
     if file_format.velocity_unit != unit:
@@ -209,13 +213,6 @@ def _with_unit(columns: RayColumns, file_format: FileFormat, file: Path) -> File
             f"{file_format.velocity_unit}: leave the option out, or rename the column."
         )
     return file_format
-
-
-def _unit(file: Path, heading: Heading, allowed: str) -> InputError:
-    return InputError(
-        f"Unknown unit {heading.unit[:40]!r} in the heading {heading.own[:60]!r} of file {str(file)!r}: it must be "
-        f"{allowed}; rename the column."
-    )
 
 
 def _opened(file: Path, file_format: FileFormat) -> Table | None:

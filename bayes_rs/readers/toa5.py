@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -182,7 +181,7 @@ def _header(lines: TextLines) -> tuple[list[str], list[str]]:
             f"File {str(lines.file)!r} {kind}: it must be a Campbell TOA5 file with four lines above its rows; convert "
             "it with the logger's software (CardConvert)."
         )
-    names, units, process = ([word.strip() for word in next(csv.reader([lines.text(row)]), [])] for row in (1, 2, 3))
+    names, units, process = ([word.strip() for word in lines.text(row).split(",")] for row in (1, 2, 3))
     if not len(names) == len(units) == len(process):
         raise InputError(
             f"The header of file {str(lines.file)!r} has {len(names)} names, {len(units)} units and {len(process)} "
