@@ -16,6 +16,8 @@ from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option, options_of
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
+ALL_RANGES = "all"
+"""What the option range is for all ranges that the files have."""
 DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
 """What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
@@ -59,7 +61,8 @@ class FileOptions:
     files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)
     or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
     times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
-    of their spacing of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign,
+    of their spacing of the focus distance, unless ``range_tolerance`` is given. With ``range`` or ``height`` the beams
+    are read at each of several distances, which stay apart: each gets its own R. Every format with its source, sign,
     stamp and zone stands in docs/formats.md.
 
     Examples
@@ -110,6 +113,18 @@ class FileOptions:
     range_tolerance: float | None = option(
         None, "Largest difference between a gate and a beam's focus distance", unit="m"
     )
+    range: str | float | Sequence[float] | None = option(
+        None,
+        "Distances along the beams at which R is wanted, each by itself, or all that the files have",
+        unit="m",
+        metavar="M,M,...|all",
+    )
+    height: float | Sequence[float] | None = option(
+        None,
+        "Heights above a lidar that looks up at which R is wanted, in place of distances",
+        unit="m",
+        metavar="M,M,...",
+    )
     phase_zero_deg: float | None = option(
         None, "Where on its cone a ZX's phase is zero: 0 is sideways (y), 90 up", unit="degrees", flag="--phase-zero"
     )
@@ -156,6 +171,10 @@ class FileOptions:
         ):
             put(name, _choice, choices=choices)
         put("invalid", _numbers)
+        put("range", _distances)
+        put("height", _distances)
+        if self.range is not None and self.height is not None:
+            raise InputError("The options range and height are two ways to say one thing: give one of them.")
         put("time_format", _time_format)
         put("separator", _separator)
         put("status_valid", _number, check=check_finite, unit="")
@@ -229,6 +248,18 @@ def _number(value: Any, *, what: str, check: Callable[..., float], unit: str) ->
 def _numbers(value: float | Sequence[float], *, what: str) -> tuple[float, ...]:
     items = list(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else [value]
     return tuple(_number(item, what=f"entry of {what}", check=check_finite, unit="") for item in items)
+
+
+def _distances(value: Any, *, what: str) -> str | tuple[float, ...]:
+    if what == "range" and isinstance(value, str):
+        if value != ALL_RANGES:
+            raise InputError(f"Invalid range {in_short(value)}: it must be numbers in m, or the word {ALL_RANGES}.")
+        return value
+    items = list(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else [value]
+    found = tuple(_number(item, what=f"entry of {what}", check=check_positive, unit="m") for item in items)
+    if not found:
+        raise InputError(f"Invalid {what} []: it must name at least one distance, in m.")
+    return found
 
 
 def _mapping(value: object, *, what: str) -> dict[str, Any]:

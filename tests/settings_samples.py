@@ -46,6 +46,8 @@ SAMPLES = {
         "status_valid": one("--status-valid", 1.0),
         "angle_tolerance_deg": one("--angle-tolerance", 2.0),
         "range_tolerance": one("--range-tolerance", 3.0),
+        "range": Sample((80.0, 120.0), ("--range", "80,120")),
+        "height": Sample((40.0, 60.0, 80.5), ("--height", "40,60,80.5")),
         "phase_zero_deg": one("--phase-zero", 90.0),
         "phase_turns": one("--phase-turns", "down"),
         "out_of_order": one("--out-of-order", "sort"),

@@ -16,7 +16,9 @@ from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.one_file import SUFFIXES, read_pieces
+from bayes_rs.readers.ranged_series import with_ranges
 from bayes_rs.readers.reading import checked_options
 from bayes_rs.readers.samples import (
     FilesReport,
@@ -101,6 +103,7 @@ def stream(
     if window == 0:
         raise InputError(f"Invalid period {period!r} s: it must be at least a nanosecond.")
     found = find_files(files, SUFFIXES)
+    of_scan = scan_at_ranges(found.paths, of_scan, chosen)
     merged = _Merge(of_scan, chosen, n_row, dict(found.passed_over))
     return merged.series(found.paths, window)
 
@@ -235,7 +238,7 @@ class _Merge:
         self.held, self.given_out = later, until
         report = FilesReport(skipped=self.skipped, passed_over=self.passed_over)
         self.skipped, self.passed_over = [], dict.fromkeys(self.passed_over, 0)
-        return join_samples(ready, self.scan, report=report)
+        return with_ranges(join_samples(ready, self.scan, report=report), self.scan)
 
     def _skip(self, file: Path, error: InputError) -> None:
         if self.options.on_bad_file == "error":

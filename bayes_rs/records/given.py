@@ -8,8 +8,8 @@ from bayes_rs.errors import InputError
 from bayes_rs.records.layout import check_layout
 
 
-def check_are_records(records: xr.Dataset) -> None:
-    """Check that a Dataset holds records.
+def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
+    """Check that a Dataset holds records; also such at several ranges, if `ranges` says so.
 
     Raises
     ------
@@ -21,7 +21,7 @@ def check_are_records(records: xr.Dataset) -> None:
         raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
-    check_layout(records, "variance", "beam")
+    check_layout(records, "variance", "beam", ranges=ranges)
     if records.sizes.get("record") == 0:
         raise InputError("There is no record: the series is shorter than one averaging period.")
     if records.sizes.get("beam") == 0:

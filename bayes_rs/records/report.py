@@ -6,9 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from bayes_rs.records.belief import doubt_lines
+from bayes_rs.records.layout import OF_RANGES, REPORT
+from bayes_rs.records.ranges import split_ranges
 from bayes_rs.records.windows import LONGEST_GAP_DAYS
 
 _MOST_FILES = 20
@@ -51,7 +54,30 @@ def describe_report(dataset: xr.Dataset) -> list[str]:
         lines += _describe_reading(json.loads(dataset.attrs["read_report"]))
     if "records_report" in dataset.attrs:
         lines += _describe_records(json.loads(dataset.attrs["records_report"]))
+    if OF_RANGES in dataset.attrs:
+        return [*lines, *_describe_ranges(dataset)]
     return [*lines, *doubt_lines(dataset)]
+
+
+def _describe_ranges(records: xr.Dataset) -> list[str]:
+    """Say for each range how much there is of it, and once what they have in common."""
+    lines, doubts = [], doubt_lines(records)
+    what = "height" if "height" in records.coords else "range"
+    lines.append(f"{records.sizes['record']} records of {records.attrs['duration']:g} s at each of the {what}s, m:")
+    for part, value in zip(split_ranges(records), records[what].values, strict=True):
+        own = json.loads(part.attrs.get(REPORT, "null"))
+        whole = (part["flag"].values == 0).all(axis=1)
+        counted = f"{np.count_nonzero(whole)} with all beams"
+        lost = ", ".join(f"{name} {number}" for name, number in own["dropped"].items() if number) if own else ""
+        used = f"{own['samples_used']} of {own['samples']} samples used" if own else "no sample"
+        lines.append(f"  {value:g}: {counted}; {used}{f'; dropped: {lost}' if lost else ''}")
+        doubts += [f"{what} {value:g} m: {line}" for line in doubt_lines(part.drop_attrs().assign_attrs(_own(part)))]
+    return [*lines, *doubts]
+
+
+def _own(part: xr.Dataset) -> dict[str, Any]:
+    """Return what is told of one range alone: what was read is told of all together."""
+    return {name: value for name, value in part.attrs.items() if name != "read_report"}
 
 
 def _describe_reading(report: Mapping[str, Any]) -> list[str]:
