@@ -21,6 +21,9 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.priors.campaign import CampaignPrior
 from bayes_rs.records.ranges import stack_ranges
 
+_QUANTITIES = ("ti", *STRESSES)
+_COLUMNS = ("quantity", "estimate", "low", "high", "prob", "decided", "n_record", "of")
+"""Of a profile, beside range and height."""
 _LISTED = 20
 """Lines of failures that are listed one by one."""
 
@@ -180,18 +183,36 @@ class RangedFit(Fit):
         """
         return self._together(lambda own: own.summary(prob=prob, derived=derived, frame=frame, campaign=campaign))
 
-    def profile(self) -> pd.DataFrame:
-        """Return what all records of each range say together: the profile of stresses and turbulence intensity.
+    def profile(self, record: int | str | None = None) -> pd.DataFrame:
+        """Return the profile of stresses and turbulence intensity: what all records of each range say together.
+
+        Parameters
+        ----------
+        record : int or str, optional
+            Number of a record, or its start as ISO time (UTC), for the profile of this record alone.
 
         Returns
         -------
         table : DataFrame
             One row for each range and quantity (six stresses and ``ti``): ``range``, ``height`` if the scan looks up,
-            ``quantity``, ``mean``, ``low``, ``high``, ``prob``, ``decided``, ``n_record``, and ``of``: ``campaign``
-            where a campaign was learnt, and the numbers are the posterior of its mean; ``median record`` where none
-            was, and they are medians over the records of posterior medians and ends of intervals, which are wider.
+            ``quantity``, ``estimate``, ``low``, ``high``, ``prob``, ``decided``, ``n_record``, and ``of``:
+            ``campaign`` where a campaign was learnt, and the numbers are mean and interval of the posterior of its
+            mean; ``median record`` where none was, and they are medians over the records of posterior medians and ends
+            of intervals, which are wider; ``record`` for one record, with its median. Ranges where the record was not
+            fitted have no row.
+
+        Raises
+        ------
+        InputError
+            If the record was fitted at no range.
         """
-        return self._together(_profile_of)
+        if record is None:
+            return self._together(_profile_of)
+        rows = self._together(lambda own: _record_of(own, record))
+        if rows.empty:
+            next(iter(self.fits.values())).find_record(record)  # says why
+            raise InputError(f"Record {record!r} was fitted at no range.")
+        return rows
 
     def campaign(self) -> pd.DataFrame:
         """Return the campaigns of all ranges that have one, as `Fit.campaign` does, with ``range`` and ``height``.
@@ -311,12 +332,14 @@ class RangedFit(Fit):
         names = self._of_ranges.names()
         for place in self.fits:
             rows = table[table["range"] == float(self.ranges[place])].to_dict("records")
-            rows.sort(key=lambda row: str(row["quantity"]) != "ti")
             said = ", ".join(f"{row['quantity']} {_interval(row)}" for row in rows)
             fitted = self.fits[place]
             lines.append(f"{names[place]}, {fitted.n_fitted} of {fitted.n_record} records: {said}")
         prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
-        lines.append(f"means with {prob:g} % intervals (m² s⁻²; {of}); a * is the prior's more than the data's")
+        lines.append(
+            f"turbulence intensity and stresses, m² s⁻², with {prob:g} % intervals ({of}); *: more the prior's than the "
+            "data's"
+        )
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
         return [*lines, *([f"without a record that can be fitted: {', '.join(lost)}"] if lost else [])]
 
@@ -343,24 +366,43 @@ class RangedFit(Fit):
         return [*said[:_LISTED], *([f"and {more} more lines: see the fits of the ranges"] if more > 0 else [])]
 
 
+def _record_of(fit: Fit, record: int | str) -> pd.DataFrame:
+    """Return the rows of one record at one range; none if it was not fitted."""
+    try:
+        number = fit.find_record(record)
+    except InputError:
+        return pd.DataFrame()
+    table = _with_intensity(fit)
+    rows = table[table["record"] == number].rename(columns={"stress": "quantity", "median": "estimate"})
+    return rows[list(_COLUMNS[:-2])].assign(n_record=1, of="record").reset_index(drop=True)
+
+
 def _profile_of(fit: Fit) -> pd.DataFrame:
     """Return the rows of one range."""
-    wanted = (*STRESSES, "ti")
     if fit.has_campaign:
-        table = fit.campaign()
-        rows = table[(table["bin"] == "all") & table["quantity"].isin(wanted)]
-        columns = ["quantity", "mean", "low", "high", "prob", "decided", "n_record"]
-        return rows[columns].assign(of="campaign").reset_index(drop=True)
+        table = fit.campaign().rename(columns={"mean": "estimate"})
+        rows = table[(table["bin"] == "all") & table["quantity"].isin(_QUANTITIES)]
+        return rows[list(_COLUMNS[:-1])].assign(of="campaign").reset_index(drop=True)
+    table = _with_intensity(fit)
+    middle = table.groupby("stress")[["median", "low", "high", "decided"]].median().reindex(list(_QUANTITIES))
+    rows = middle.reset_index().rename(columns={"stress": "quantity", "median": "estimate"})
+    prob = float(table["prob"].iloc[0])
+    return rows.assign(prob=prob, n_record=fit.n_fitted, of="median record")[list(_COLUMNS)]
+
+
+def _with_intensity(fit: Fit) -> pd.DataFrame:
+    """Return the summary's rows of the stresses, and of the turbulence intensity, σ_u/U, of the same quantiles."""
     table = fit.summary()
-    table = table[table["stress"].isin(wanted)]
-    middle = table.groupby("stress")[["median", "low", "high", "decided"]].median()
-    rows = middle.reindex([name for name in wanted if name in middle.index]).reset_index()
-    rows = rows.rename(columns={"stress": "quantity", "median": "mean"})
-    return rows.assign(prob=float(table["prob"].iloc[0]), n_record=fit.n_fitted, of="median record")[
-        ["quantity", "mean", "low", "high", "prob", "decided", "n_record", "of"]
-    ]
+    table = table[table["stress"].isin(STRESSES)]
+    speed = fit.records["wind_speed"].values.astype(np.float64)
+    ends = ["median", "low", "high"]
+    intensity = table[table["stress"] == "uu"].copy()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_record = speed[intensity["record"].to_numpy()][:, np.newaxis]
+        intensity[ends] = np.sqrt(intensity[ends].to_numpy(dtype=np.float64)) / of_record
+    return pd.concat([table, intensity.assign(stress="ti")], ignore_index=True)
 
 
 def _interval(row: Mapping[Any, Any]) -> str:
     mark = "*" if row["decided"] < 0.5 else ""
-    return f"{row['mean']:.3g}{mark} ({row['low']:.3g} to {row['high']:.3g})"
+    return f"{row['estimate']:.3g}{mark} ({row['low']:.3g} to {row['high']:.3g})"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.records.layout import OF_RANGES, REPORT
 from bayes_rs.records.ranges import split_ranges
@@ -64,14 +65,14 @@ def _describe_ranges(records: xr.Dataset) -> list[str]:
     lines, doubts = [], doubt_lines(records)
     what = "height" if "height" in records.coords else "range"
     lines.append(f"{records.sizes['record']} records of {records.attrs['duration']:g} s at each of the {what}s, m:")
-    for part, value in zip(split_ranges(records), records[what].values, strict=True):
+    for part, value in zip(split_ranges(records), short(records[what].values), strict=True):
         own = json.loads(part.attrs.get(REPORT, "null"))
         whole = (part["flag"].values == 0).all(axis=1)
         counted = f"{np.count_nonzero(whole)} with all beams"
         lost = ", ".join(f"{name} {number}" for name, number in own["dropped"].items() if number) if own else ""
         used = f"{own['samples_used']} of {own['samples']} samples used" if own else "no sample"
-        lines.append(f"  {value:g}: {counted}; {used}{f'; dropped: {lost}' if lost else ''}")
-        doubts += [f"{what} {value:g} m: {line}" for line in doubt_lines(part.drop_attrs().assign_attrs(_own(part)))]
+        lines.append(f"  {value}: {counted}; {used}{f'; dropped: {lost}' if lost else ''}")
+        doubts += [f"{what} {value} m: {line}" for line in doubt_lines(part.drop_attrs().assign_attrs(_own(part)))]
     return [*lines, *doubts]
 
 
