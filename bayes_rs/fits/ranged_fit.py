@@ -337,8 +337,8 @@ class RangedFit(Fit):
             lines.append(f"{names[place]}, {fitted.n_fitted} of {fitted.n_record} records: {said}")
         prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
         lines.append(
-            f"turbulence intensity and stresses, m² s⁻², with {prob:g} % intervals ({of}); *: more the prior's than the "
-            "data's"
+            f"turbulence intensity and stresses, m² s⁻², with {prob:g} % intervals ({of}); *: more the prior's than "
+            "the data's"
         )
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
         return [*lines, *([f"without a record that can be fitted: {', '.join(lost)}"] if lost else [])]
