@@ -101,6 +101,11 @@ class RangedFit(Fit):
         return self._of_ranges.height
 
     @property
+    def range_names(self) -> list[str]:
+        """What to call the ranges in words, as ``range 80 m`` or ``height 120 m``."""
+        return self._of_ranges.names()
+
+    @property
     def _of_ranges(self) -> RangedScan:
         if not isinstance(self.scan, RangedScan):
             raise TypeError("the scan of a RangedFit is a RangedScan")

@@ -8,6 +8,7 @@ import xarray as xr
 from pydantic import Field, Json, model_validator
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
 
 _RECORD = ("record",)
@@ -245,7 +246,7 @@ def check_layout(
         For the first entry that is not as it should be.
     """
     if "range" in records.dims and not ranges:
-        known = ", ".join(f"{value:g}" for value in records.coords.get("range", xr.DataArray([])).values.tolist()[:12])
+        known = ", ".join(short(records["range"].values[:12])) if "range" in records.coords else "unknown"
         raise InputError(
             f"{what} are at {records.sizes['range']} ranges ({known} m), and those of one are wanted here: take one "
             f"with bayes_rs.records.at_range(records, distance), or read one (--range DISTANCE)."
