@@ -36,8 +36,14 @@ class TablesOfRanges:
 
     @property
     def datasets(self) -> tuple[str, ...]:
-        """None."""
-        return ()
+        """Refuse: tables are of one range.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _of_one(self.ranges)
 
     def read(self, dataset: str, columns: Any = None, records: Any = None) -> pd.DataFrame:  # noqa: ARG002 - of a protocol
         """Refuse: a table is of one range.
@@ -378,7 +384,8 @@ def _record_of(fit: Fit, record: int | str) -> pd.DataFrame:
     except InputError:
         return pd.DataFrame()
     table = _with_intensity(fit)
-    rows = table[table["record"] == number].rename(columns={"stress": "quantity", "median": "estimate"})
+    rows = table[table["record"] == number].set_index("stress").loc[list(_QUANTITIES)].reset_index()
+    rows = rows.rename(columns={"stress": "quantity", "median": "estimate"})
     return rows[list(_COLUMNS[:-2])].assign(n_record=1, of="record").reset_index(drop=True)
 
 
