@@ -223,6 +223,16 @@ class TestRecordsAtRanges:
         with pytest.raises(InputError, match=r"are at 3 ranges .* take one with .*at_range"):
             brs.noise.calibrate(scan_at(120.0), "fu-2022", records=records)
 
+    def test_what_is_of_one_range_refuses_a_series_of_several(self, file):
+        scan = scan_at(120.0)
+        series = read(file, scan, height=HEIGHTS)
+        records = make_records(series, scan)
+        words = r"of 3 ranges \(83, 124, 207 m\).*NAME@focus_distance=82.822"
+        with pytest.raises(InputError, match=words):
+            brs.spectra.radial_spectra(series, scan, at_range(records, height=80.0))
+        with pytest.raises(InputError, match=words):
+            brs.wind.reconstruct_pairs(series, scan)
+
     def test_a_range_is_taken_by_what_is_near(self, records):
         assert at_range(records, height=118.0).attrs["height"] == pytest.approx(120.0, rel=1e-3)
         with pytest.raises(InputError, match="No height 400 m: there are 80, 120, 200 m"):

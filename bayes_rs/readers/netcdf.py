@@ -104,7 +104,10 @@ def _as_text(value: object) -> str:
 
 
 def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:
-    if "radial_velocity" not in file_format.required and dataset.get("variance", xr.DataArray()).dims == RECORD_DIMS:
+    if (
+        "radial_velocity" not in file_format.required
+        and dataset.get("variance", xr.DataArray()).dims[-2:] == RECORD_DIMS
+    ):
         raise InputError(
             f"File {str(file)!r} holds records, not radial velocities: give the files that the records were made of."
         )

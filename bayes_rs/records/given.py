@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.records.layout import check_layout
 
 
@@ -30,8 +32,8 @@ def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
         )
 
 
-def check_is_series(series: xr.Dataset) -> None:
-    """Check that a Dataset holds samples.
+def check_is_series(series: xr.Dataset, *, ranges: bool = False) -> None:
+    """Check that a Dataset holds samples; also such of several ranges, if `ranges` says so.
 
     Raises
     ------
@@ -44,3 +46,9 @@ def check_is_series(series: xr.Dataset) -> None:
     for name in ("radial_velocity", "time", "beam"):
         if name not in series.variables or series[name].dims != ("sample",):
             raise InputError(f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read.")
+    if "range" in series.variables and not ranges:
+        known = np.unique(series["range"].values)
+        raise InputError(
+            f"The series is of {len(known)} ranges ({', '.join(short(known[:12]))} m), and one of one is wanted here: "
+            f"read it with the scan at one, as NAME@focus_distance={known[0]:g} (--focus-distance {known[0]:g})."
+        )

@@ -249,7 +249,7 @@ def check_layout(
         known = ", ".join(short(records["range"].values[:12])) if "range" in records.coords else "unknown"
         raise InputError(
             f"{what} are at {records.sizes['range']} ranges ({known} m), and those of one are wanted here: take one "
-            f"with bayes_rs.records.at_range(records, distance), or read one (--range DISTANCE)."
+            f"with bayes_rs.records.at_range(records, distance), or read one (--focus-distance DISTANCE)."
         )
     check_dataset(
         records,

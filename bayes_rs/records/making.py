@@ -135,7 +135,7 @@ def make_records(
     (array([[1.]]), array([10.]))
     """
     of_scan, chosen = as_scan(scan), record_options(options)
-    check_is_series(series)
+    check_is_series(series, ranges=True)
     at_ranges = scan_of_series(series, of_scan)
     if isinstance(at_ranges, RangedScan):
         return _at_ranges(stacked(series, at_ranges), at_ranges, quality, options)
