@@ -113,17 +113,13 @@ def inner_is_done(folder: ResultFolder, name: str, *, key: str) -> bool:
 
 
 @contextmanager
-def begin_inner_folder(
-    folder: ResultFolder, name: str, *, key: str, key_parts: Mapping[str, Any]
-) -> Iterator[ResultFolder]:
+def begin_inner_folder(path: Path, *, key: str, key_parts: Mapping[str, Any]) -> Iterator[ResultFolder]:
     """Make a folder of results in another one that is open for writing, or go on in that of an interrupted run.
 
     Parameters
     ----------
-    folder : ResultFolder
-        From `begin_result_folder`; its lock is that of what is in it.
-    name : str
-        Name of the folder in it.
+    path : Path
+        The folder; `ResultFolder.note_inner` has listed it in the one that it lies in, whose lock is its own, too.
     key, key_parts
         As for `begin_result_folder`. A folder with another key is made anew.
 
@@ -137,9 +133,7 @@ def begin_inner_folder(
     InputError
         If the folder holds what we did not write, or cannot be written.
     """
-    path = folder.path / name
     try:
-        folder.note_inner(name, key)
         if path.exists():
             check_place(path)
             if _key_of(path)[0] == key:

@@ -173,8 +173,6 @@ class FileOptions:
         put("invalid", _numbers)
         put("range", _distances)
         put("height", _distances)
-        if self.range is not None and self.height is not None:
-            raise InputError("The options range and height are two ways to say one thing: give one of them.")
         put("time_format", _time_format)
         put("separator", _separator)
         put("status_valid", _number, check=check_finite, unit="")

@@ -166,6 +166,12 @@ class TestFolder:
         assert open_fit(place).settings["fit"]["seed"] == 4
         assert not (place / "report.html").exists()
 
+    def test_it_is_the_same_by_several_workers(self, records, folder, tmp_path):
+        said = []
+        fit(records, SCAN, seed=3, output=tmp_path / "out", workers=2, say=said.append, **QUICK)
+        pd.testing.assert_frame_equal(open_fit(tmp_path / "out").summary(), open_fit(folder).summary())
+        assert {line.split(":")[0] for line in said} == {"range 52 m", "range 98 m"}
+
     def test_a_strangers_folder_in_it_is_never_removed(self, records, folder, tmp_path):
         place = tmp_path / "out"
         shutil.copytree(folder, place)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_media
 from bayes_rs.fits.plan import Plan, option_parts, plain_options, plan_fit, software, version_parts, with_settings
 from bayes_rs.fits.prepare import LEAST_WIND, sound_beams
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
+from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.ranged_scan import RangedScan, short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_writing import scan_text
@@ -165,22 +167,29 @@ def fit_ranges_into(
         Takes lines that tell what is being done.
     """
     about: list[str | None] = []
+    left: list[_Inner] = []
     for name, words, part in zip(job.names(), job.scan.names(), job.parts(), strict=True):
+        about.append(None if part is None else name)
         if part is None:
             say(f"{words}: no record can be fitted")
-            about.append(None)
             continue
         records, scan, options = part
         parts = digest_parts(
             **version_parts(), scan=scan.key, **fit_inputs(records, None, job.choice), **option_parts(options)
         )
-        about.append(name)
         if inner_is_done(folder, name, key=digest(parts)):
             say(f"{words}: finished by an earlier run")
             continue
-        with begin_inner_folder(folder, name, key=digest(parts), key_parts=parts) as inner:
-            plan = _plan(job, part, _named(say, words), in_folder=True)
-            fit_into(inner, plan, workers=workers, client=client, progress=progress)
+        folder.note_inner(name, digest(parts))
+        left.append(_Inner(folder.path / name, words, parts, part))
+    if client is None and 1 < workers <= len(left):  # a range each: nothing waits for the noise of another
+        shared = _Shared(replace(job, records=xr.Dataset()), progress=False)
+        for lines in done_parts(_fit_inner, shared, left, workers, None):
+            for line in lines:
+                say(line)
+    else:
+        for one in left:
+            _fit_inner(_Shared(job, progress, workers, client, say), one)
     run = {**run_of_ranges(job, about), **(more or {})}
     found = ranged_fit_in(run, str(folder.path))
     if not found.fits:
@@ -191,6 +200,37 @@ def fit_ranges_into(
     folder.write(PROFILE_FILE, partial(write_csv, found.profile(), index=False))
     counts = {"n_record": found.n_record, "n_fitted": found.n_fitted, "flags": found.flags, "words": found.words}
     folder.finish({**run, **counts})
+
+
+@dataclass(frozen=True)
+class _Inner:
+    """A range that is to be fitted into a folder of its own."""
+
+    path: Path
+    words: str
+    key_parts: dict[str, str]
+    part: tuple[xr.Dataset, Scan, FitOptions]
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What the fits of all ranges need."""
+
+    job: RangeJob
+    progress: bool | None
+    workers: int = 1
+    client: Any = None
+    say: Say | None = None
+
+
+def _fit_inner(shared: _Shared, one: _Inner) -> list[str]:
+    """Fit one range into its folder; return what there is to say, where nobody hears it at once."""
+    lines: list[str] = []
+    say = _named(shared.say or lines.append, one.words)
+    with begin_inner_folder(one.path, key=digest(one.key_parts), key_parts=one.key_parts) as inner:
+        plan = _plan(shared.job, one.part, say, in_folder=True)
+        fit_into(inner, plan, workers=shared.workers, client=shared.client, progress=shared.progress)
+    return lines
 
 
 def run_of_ranges(job: RangeJob, folders: Sequence[str | None]) -> dict[str, Any]:

@@ -44,6 +44,8 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     """
     if isinstance(scan, RangedScan):
         return scan
+    if options.range is not None and options.height is not None:
+        raise InputError("The options range and height are two ways to say one thing: give one of them.")
     asked = options.range is not None or options.height is not None
     wanted = options.range if asked else scan.file_format.get("range")
     if wanted is None and options.height is None:
