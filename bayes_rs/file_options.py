@@ -15,7 +15,7 @@ from bayes_rs._validation import check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, option, options_of
 
-NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
+NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
 DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
 """What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
@@ -53,7 +53,8 @@ class FileOptions:
     table, which counts before the default of the file's format, which counts before the general default: positive
     away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
 
-    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also
+    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr``, ``status`` and ``range``, the distance along
+    the beam in m: of a table with several, the rows at the scan's distances are read. In files of rays it also names
     ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
     number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
     files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)

@@ -18,6 +18,12 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.unnamed_ranges import several_in_words
+
+_FEW = 3
+_RARE = 0.01
+"""Samples, and their share, that may be of one beam and time and differ, as after a clock was set back: sorting has to
+choose there."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,8 @@ class Samples:
     counts: dict[str, int] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     """What else the report says of the file: what is not believed of it."""
+    like_ranges: tuple[str, ...] = ()
+    """Headings of the file that look like ranges and are not in use."""
     out_of_order: int | None = None
     """Samples earlier than one of the same beam above them in the file, where these are only a piece of it."""
 
@@ -112,7 +120,8 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     Raises
     ------
     InputError
-        If files differ in their columns, or one beam has two velocities at one time.
+        If files differ in their columns, or one beam has two velocities at one time; with ``out_of_order="sort"``
+        only if that is more than a rare coincidence. Of such samples none is believed: they have no velocity.
     """
     status_valid = _one_status(parts)
     backwards = [count_backwards(part) if part.out_of_order is None else part.out_of_order for part in parts]
@@ -127,9 +136,13 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     repeated[1:] = (time[1:] == time[:-1]) & (beam[1:] == beam[:-1])
     first = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(time))))
     differs = repeated & ~np.isnan(velocity) & (velocity != velocity[first])
-    if differs.any() and parts[0].file_format.out_of_order == "error":
-        index = int(np.argmax(differs))
-        raise _two_values(parts, int(order[first[index]]), int(order[index]))
+    if differs.any():
+        n_differ, n_sample = int(differs.sum()), int((~repeated).sum())
+        rare = n_differ <= max(_FEW, _RARE * n_sample) and 10 * n_differ <= n_sample
+        if parts[0].file_format.out_of_order == "error" or not rare:
+            index = int(np.argmax(differs))
+            raise _two_values(parts, int(order[first[index]]), int(order[index]), n_differ)
+        velocity[first[differs]] = np.nan  # which of them is right, nobody knows
     keep = ~repeated
 
     variables: dict[str, Any] = {
@@ -144,7 +157,10 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
         if values is not None:
             variables[name] = ("sample", values[order][keep], attributes[name])
     counted = {
-        **{key: sum(part.counts.get(key, 0) for part in parts) for key in parts[0].counts},
+        **{
+            key: sum(part.counts.get(key, 0) for part in parts)
+            for key in dict.fromkeys(key for part in parts for key in part.counts)
+        },
         "samples": int(keep.sum()),
         "samples_without_velocity": int(np.isnan(velocity[keep]).sum()),
         "samples_out_of_order": sum(backwards),
@@ -242,16 +258,21 @@ def _one_status(parts: Sequence[Samples]) -> float | None:
     return valid.pop()
 
 
-def _two_values(parts: Sequence[Samples], first: int, second: int) -> InputError:
+def _two_values(parts: Sequence[Samples], first: int, second: int, n_differ: int) -> InputError:
     ends = np.cumsum([len(part.time) for part in parts])
     starts = ends - [len(part.time) for part in parts]
     one, two = (int(np.searchsorted(ends, index, side="right")) for index in (first, second))
     a, b = first - int(starts[one]), second - int(starts[two])
+    if parts[one].file == parts[two].file and parts[one].kind != "long":
+        advice = "give time stamps that tell samples apart"
+    elif parts[one].file == parts[two].file:
+        advice = several_in_words(parts[one].like_ranges)
+    else:
+        advice = "the files seem to be of several instruments or ranges, or one is another's correction: read one alone"
     return InputError(
         f"Two samples of beam {parts[one].beam[a]} at {as_utc(parts[one].time[a])} differ: "
         f"{parts[one].radial_velocity[a]:g} m/s in {parts[one].where(a)} and {parts[two].radial_velocity[b]:g} m/s in "
-        f"{parts[two].where(b)}; give time stamps that tell samples apart, "
-        "or out_of_order='sort' (--out-of-order sort) to keep the first."
+        f"{parts[two].where(b)}{f', and {n_differ - 1} more such' if n_differ > 1 else ''}; {advice}."
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_rs.readers.unnamed_ranges import listed_ranges
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.records.windows import LONGEST_GAP_DAYS
 
@@ -22,6 +23,8 @@ _ROWS_TOLD = (
     "velocities_impossible",
     "rows_unset_clock",
     "rows_dropped",
+    "rows_of_other_ranges",
+    "rows_without_range",
     "samples_out_of_order",
 )
 _SURE = 1e-3
@@ -71,9 +74,13 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             ("velocities_impossible", "velocities that no wind has"),
             ("rows_unset_clock", "of a clock that was not set, set aside"),
             ("rows_dropped", "dropped without a time or a beam"),
+            ("rows_of_other_ranges", "of other ranges"),
+            ("rows_without_range", "dropped without a range"),
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
             line += f"; {file[key]} {words}" if file.get(key) else ""
+        if "ranges" in file:
+            line += f"; ranges read: {listed_ranges(file['ranges_used'])} of {listed_ranges(file['ranges'])} m"
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
@@ -89,7 +96,8 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
     line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"
     if report["duplicates_dropped"]:
         line += f"; {report['duplicates_dropped']} repeated ones dropped"
-        line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
+        differ = report["duplicates_that_differ"]
+        line += f", {differ} of which differ: their samples count as missing" if differ else ""
     return [*lines, line]
 
 
