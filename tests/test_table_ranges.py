@@ -191,9 +191,9 @@ class TestNoMixture:
         frame["Timestamp"] = (pd.to_datetime(frame["Timestamp"]) + shift).astype(str)
         frame.to_csv(tmp_path / "day.csv", index=False)
         message = (
-            f"Beam 0 has several {heading!r} in file {str(tmp_path / 'day.csv')!r}: 80, 120, 178, 240, 300, and "
-            f"rows of several ranges are not one series; if {heading!r} is the distance along the beam, m, name it with "
-            f"columns={{'range': {heading!r}}} (--column range={heading!r}), which takes the rows at the scan's "
+            f"Beam 0 has several {heading!r} in file {str(tmp_path / 'day.csv')!r}: 80, 120, 178, 240, 300, "
+            f"and rows of several ranges are not one series; if {heading!r} is the distance along the beam, m, name it "
+            f"with columns={{'range': {heading!r}}} (--column range={heading!r}), which takes the rows at the scan's "
             "distances; or else give a file for each, or remove the column if it says something else."
         )
         for way in (read, lambda *a, **k: list(stream(*a, chunk_rows=1, **k))):

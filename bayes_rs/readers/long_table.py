@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -91,6 +92,8 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
         for other in unused:
             values = pd.to_numeric(frame[other], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
             check_one_place(known, other, samples.beam, values[samples.row - column["time"].first_row], file)
+        if n_row is None:
+            table.bad.check(len(frame))
         yield replace(samples, like_ranges=unused)
 
 
@@ -105,8 +108,12 @@ def _samples(table: Table, scan: Scan, column: Mapping[str, Column], by_range: B
             value[name], invalid_value = numbers(column[name], file_format)
             invalid = invalid | invalid_value
     no_time = np.isnat(time)
-    keep = ~(no_time | no_beam)
-    counts, facts = {}, {}
+    first_row = column["time"].first_row
+    left_out = table.bad.mask(first_row, len(time))
+    of_bad = table.bad.counts(first_row, len(time))
+    keep = ~(no_time | no_beam | left_out)
+    counts: dict[str, int] = {}
+    facts: dict[str, Any] = dict(table.bad.facts())
     if by_range is not None:
         beam, fits = by_range.beams(beam, value["range"])
         no_range = keep & np.isnan(value["range"])
@@ -114,7 +121,7 @@ def _samples(table: Table, scan: Scan, column: Mapping[str, Column], by_range: B
             "rows_without_range": int(no_range.sum()),
             "rows_of_other_ranges": int((keep & ~no_range & ~fits).sum()),
         }
-        facts = {"ranges": by_range.ranges.tolist(), "ranges_used": by_range.used.tolist()}
+        facts |= {"ranges": by_range.ranges.tolist(), "ranges_used": by_range.used.tolist()}
         keep &= fits
     return Samples(
         file=table.file,
@@ -130,10 +137,11 @@ def _samples(table: Table, scan: Scan, column: Mapping[str, Column], by_range: B
         counts={
             "rows": len(keep),
             "rows_invalid_value": int(invalid.sum()),
-            "rows_dropped": int((~keep).sum()) - sum(counts.values()),
-            "rows_without_time": int(no_time.sum()),
-            "rows_without_beam": int(no_beam.sum()),
+            "rows_dropped": int((~keep).sum()) - sum(counts.values()) - int(left_out.sum()),
+            "rows_without_time": int((no_time & ~left_out).sum()),
+            "rows_without_beam": int((no_beam & ~left_out).sum()),
             **counts,
+            **of_bad,
         },
         facts=facts,
     )

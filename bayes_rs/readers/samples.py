@@ -77,8 +77,12 @@ class FilesReport:
     passed_over: Mapping[str, int] = field(default_factory=dict)
 
 
-def no_sample(file: Path, n_row: int) -> InputError:
-    """Return the error to raise for a file without a sample."""
+def no_sample(file: Path, n_row: int, n_cut: int = 0) -> InputError:
+    """Return the error to raise for a file without a sample, also where its last row is not believed."""
+    if n_cut and n_cut == n_row:
+        return InputError(
+            f"File {str(file)!r} ends within its only row, whose last number may be cut: end the line, if it is whole."
+        )
     return InputError(
         f"File {str(file)!r} has no sample with a time and a beam ({n_row} rows were read): check the file and the "
         "option invalid."

@@ -113,6 +113,7 @@ class _Source:
     pieces: Iterator[Samples]
     reached: np.datetime64 = _EVER
     n_row: int = 0
+    n_cut: int = 0
     latest: dict[int, np.datetime64] = field(default_factory=dict)
 
 
@@ -182,7 +183,7 @@ class _Merge:
             part = next(source.pieces, None)
             if part is None:
                 if not source.latest:
-                    raise no_sample(source.file, source.n_row)
+                    raise no_sample(source.file, source.n_row, source.n_cut)
                 return False
             if part.file_format.out_of_order == "error":
                 check_order(part)
@@ -192,6 +193,7 @@ class _Merge:
             self._skip(source.file, error)
             return False
         source.n_row += part.counts.get("rows", 0)
+        source.n_cut += part.counts.get("rows_cut", 0)
         self.held.append(replace(part, out_of_order=out_of_order))
         if len(part.time):
             source.reached = max(source.reached, part.time.max())

@@ -25,6 +25,8 @@ _ROWS_TOLD = (
     "rows_dropped",
     "rows_of_other_ranges",
     "rows_without_range",
+    "rows_bad",
+    "rows_cut",
     "samples_out_of_order",
 )
 _SURE = 1e-3
@@ -76,9 +78,13 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             ("rows_dropped", "dropped without a time or a beam"),
             ("rows_of_other_ranges", "of other ranges"),
             ("rows_without_range", "dropped without a range"),
+            ("rows_bad", "bad ones left out"),
+            ("rows_cut", "cut at the end of the file, left out"),
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
             line += f"; {file[key]} {words}" if file.get(key) else ""
+        if "first_bad_row" in file:
+            line += f"; the first bad row: {file['first_bad_row']}"
         if "ranges" in file:
             line += f"; ranges read: {listed_ranges(file['ranges_used'])} of {listed_ranges(file['ranges'])} m"
         if file["format"] == _BY_HEADINGS:
