@@ -11,8 +11,10 @@ import pandas as pd
 _FULL_DATE = r"^\d{4}(?:\W\d{1,2}\W\d{1,2}|\d{4})"
 _SAID_SINCE = re.compile(r"\d{1,5}([-/. ])\d{1,2}\1\d{1,2}(?!\d)|\d{8}(?!\d)")
 _FRACTION = re.compile(r"%S[.,:]%f")
-_MIDNIGHT = re.compile(r"^(.*(?:\D|^))24((?::?00)(?:(?::?00)(?:[.,]0+)?)?(?!\d).*)$")
+_MIDNIGHT = re.compile(r"^(.*(?:\D|^))24((?::?00)(?:(?::?00)(?:[.,]0+)?)?(?![\d:]).*)$")
 _LEAP_SECOND = re.compile(r"^(.*59:?)60(?:[.,]\d*)?(?!\d)")
+_SIXTY = r":6[01](?!\d)"
+_FIRST, _LAST = pd.Timestamp("1700-01-01", tz="UTC"), pd.Timestamp("2262-01-01", tz="UTC")
 _EXAMPLE = datetime(2003, 11, 22, 13, 14, 15, tzinfo=UTC)
 """No two of its numbers are the same."""
 
@@ -47,6 +49,8 @@ def stated_times(text: pd.Series[Any], pattern: str | None = None) -> pd.Series[
     text = text.astype("string")
     full = text.str.contains(_FULL_DATE if pattern is None else r"\d", regex=True, na=False)
     found = _parsed(text.where(full), pattern)
+    if pattern is not None and ":%f" not in pattern:  # of 60 seconds, pandas makes a minute
+        found = found.mask(text.str.contains(_SIXTY, regex=True, na=False))
     late = full & found.isna()
     for words, instead, shift in (
         (_MIDNIGHT, r"\g<1>00\g<2>", pd.Timedelta(days=1)),
@@ -54,8 +58,11 @@ def stated_times(text: pd.Series[Any], pattern: str | None = None) -> pd.Series[
     ):
         if late.any():
             other = text.str.replace(words, instead, regex=True)
-            changed = _parsed(other.where(late & (other != text)), pattern) + shift
-            found = found.where(changed.isna(), changed.astype(found.dtype))
+            changed = _parsed(other.where(late & (other != text)), pattern)
+            changed = changed.where((changed > _FIRST) & (changed < _LAST)) + shift
+            if changed.notna().any():
+                found = found.astype("datetime64[us, UTC]") if found.dt.unit != "ns" else found
+                found = found.where(changed.isna(), changed.astype(found.dtype))
     return found
 
 

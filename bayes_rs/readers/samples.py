@@ -17,6 +17,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.samples import distinct, is_sorted
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.unnamed_ranges import several_in_words
 
@@ -134,47 +135,38 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     velocity = np.concatenate([part.radial_velocity for part in parts])
     optional = {name: _join_optional(parts, name) for name in ("cnr", "status")}
 
-    order = np.lexsort((np.isnan(velocity), beam, time))  # of two equal samples, one with a velocity comes first
-    time, beam, velocity = time[order], beam[order], velocity[order]
-    repeated = np.zeros(len(time), dtype=bool)
-    repeated[1:] = (time[1:] == time[:-1]) & (beam[1:] == beam[:-1])
-    first = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(time))))
-    differs = repeated & ~np.isnan(velocity) & (velocity != velocity[first])
-    if differs.any():
-        n_differ, n_sample = int(differs.sum()), int((~repeated).sum())
-        rare = n_differ <= max(_FEW, _RARE * n_sample) and 10 * n_differ <= n_sample
-        if parts[0].file_format.out_of_order == "error" or not rare:
-            index = int(np.argmax(differs))
-            raise _two_values(parts, int(order[first[index]]), int(order[index]), n_differ)
-        velocity[first[differs]] = np.nan  # which of them is right, nobody knows
-    keep = ~repeated
+    chosen: slice | NDArray[np.int64] = slice(None)
+    n_repeated = n_differ = 0
+    if not _in_order(time, beam):
+        chosen, velocity, n_repeated, n_differ = _sorted(parts, time, beam, velocity)
+    time, beam, velocity = time[chosen], beam[chosen], velocity[chosen]
 
     variables: dict[str, Any] = {
         "radial_velocity": (
             "sample",
-            velocity[keep],
+            velocity,
             {"units": "m s-1", "positive": "away", "long_name": "radial velocity, positive away from the lidar"},
         )
     }
     attributes = {"cnr": {"units": "dB"}, "status": {"long_name": "status as in the file"}}
     for name, values in optional.items():
         if values is not None:
-            variables[name] = ("sample", values[order][keep], attributes[name])
+            variables[name] = ("sample", values[chosen], attributes[name])
     counted = {
         **{
             key: sum(part.counts.get(key, 0) for part in parts)
             for key in dict.fromkeys(key for part in parts for key in part.counts)
         },
-        "samples": int(keep.sum()),
-        "samples_without_velocity": int(np.isnan(velocity[keep]).sum()),
+        "samples": len(time),
+        "samples_without_velocity": int(np.count_nonzero(np.isnan(velocity))),
         "samples_out_of_order": sum(backwards),
-        "duplicates_dropped": int(repeated.sum()),
-        "duplicates_that_differ": int(differs.sum()),
-        **_about_files(parts, scan, backwards, np.unique(beam), report or FilesReport()),
+        "duplicates_dropped": n_repeated,
+        "duplicates_that_differ": n_differ,
+        **_about_files(parts, scan, backwards, distinct(beam), report or FilesReport()),
     }
     series = xr.Dataset(
         variables,
-        coords={"time": ("sample", time[keep]), "beam": ("sample", beam[keep])},
+        coords={"time": ("sample", time), "beam": ("sample", beam)},
         attrs={
             "scan": scan.name,
             "scan_key": scan.key,
@@ -185,6 +177,30 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     own = {} if status_valid is None else {"status_valid": status_valid}
     limit = max(part.file_format.velocity_limit for part in parts)
     return series.assign_attrs(own if limit == VELOCITY_LIMIT else {**own, "velocity_limit": limit})
+
+
+def _sorted(
+    parts: Sequence[Samples], time: NDArray[np.datetime64], beam: NDArray[np.int64], velocity: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, int, int]:
+    """Return the order of time and beams without repeated samples, the velocities that are believed, and two counts.
+
+    These are of samples that were repeated, and of those of them that differ.
+    """
+    order = np.lexsort((np.isnan(velocity), beam, time))  # of two equal samples, one with a velocity comes first
+    in_time, of_beam, values = time[order], beam[order], velocity[order]
+    repeated = np.zeros(len(time), dtype=bool)
+    repeated[1:] = (in_time[1:] == in_time[:-1]) & (of_beam[1:] == of_beam[:-1])
+    first = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(time))))
+    differs = repeated & ~np.isnan(values) & (values != values[first])
+    n_differ, n_sample = int(differs.sum()), int((~repeated).sum())
+    if n_differ:
+        rare = n_differ <= max(_FEW, _RARE * n_sample) and 10 * n_differ <= n_sample
+        if parts[0].file_format.out_of_order == "error" or not rare:
+            index = int(np.argmax(differs))
+            raise _two_values(parts, int(order[first[index]]), int(order[index]), n_differ)
+        velocity = velocity.copy()
+        velocity[order[first[differs]]] = np.nan  # which of them is right, nobody knows
+    return order[~repeated], velocity, int(repeated.sum()), n_differ
 
 
 def _about_files(
@@ -227,16 +243,26 @@ def _options_used(file_format: FileFormat) -> dict[str, Any]:
 def count_backwards(part: Samples, latest: Mapping[int, np.datetime64] | None = None) -> int:
     """Count the samples that are earlier than one of the same beam above them, in this piece or before (`latest`)."""
     backwards = _backwards(part)
-    for beam, before in (latest or {}).items():
-        backwards = backwards | (part.beam == beam) & (part.time < before)
+    if latest and len(part.time) and part.time.min() < max(latest.values()):
+        for beam, before in latest.items():
+            backwards = backwards | (part.beam == beam) & (part.time < before)
     return int(backwards.sum())
 
 
 def _backwards(part: Samples) -> NDArray[np.bool_]:
     """Say which samples are earlier than one of the same beam above them."""
-    time = pd.Series(part.time.astype(np.int64))
+    count = part.time.astype(np.int64)
+    if is_sorted(count):
+        return np.zeros(len(count), dtype=bool)
+    time = pd.Series(count)
     latest = time.groupby(part.beam).cummax()
     return (time < latest).to_numpy()
+
+
+def _in_order(time: NDArray[np.datetime64], beam: NDArray[np.int64]) -> bool:
+    """Say whether samples are in the order of time, those of one time in that of their beams, and none is twice."""
+    later = time[1:] > time[:-1]
+    return bool(later.all()) or bool((later | ((time[1:] == time[:-1]) & (beam[1:] > beam[:-1]))).all())
 
 
 def _join_optional(parts: Sequence[Samples], name: str) -> FloatArray | None:
