@@ -43,6 +43,9 @@ SAMPLES = {
         "sample_duration": one("--sample-duration", 0.5),
         "separator": one("--separator", ";"),
         "decimal": one("--decimal", ","),
+        "skip_rows": one("--skip-rows", 2),
+        "comment": one("--comment", "#"),
+        "encoding": one("--encoding", "cp1252"),
         "status_valid": one("--status-valid", 1.0),
         "angle_tolerance_deg": one("--angle-tolerance", 2.0),
         "range_tolerance": one("--range-tolerance", 3.0),
@@ -51,6 +54,7 @@ SAMPLES = {
         "phase_zero_deg": one("--phase-zero", 90.0),
         "phase_turns": one("--phase-turns", "down"),
         "out_of_order": one("--out-of-order", "sort"),
+        "bad_rows": one("--bad-rows", "drop"),
         "on_bad_file": one("--on-bad-file", "error"),
     },
     "records": {

@@ -27,6 +27,9 @@ OTHER = {
     "sample_duration": 0.5,
     "separator": ";",
     "decimal": ",",
+    "skip_rows": 3,
+    "comment": "#",
+    "encoding": "cp1252",
     "status_valid": 3.0,
     "angle_tolerance_deg": 0.25,
     "range_tolerance": 7.0,
@@ -35,6 +38,7 @@ OTHER = {
     "phase_zero_deg": 90.0,
     "phase_turns": "down",
     "out_of_order": "sort",
+    "bad_rows": "drop",
     "on_bad_file": "skip",
 }
 """A value of each option that is not its default."""

@@ -40,8 +40,8 @@ class Reader:
     pieces : callable, optional
         Reads the file so many rows at a time; without it a stream takes the file as one piece.
     ranges : callable, optional
-        Returns the distinct ranges, m, that the samples of the file say they are from, none if they say none; of a
-        format without rays.
+        Returns the distinct distances along the beams of a file, m, in order, where rows rather than rays say them;
+        empty if they do not.
     own_options : callable, optional
         Options that the file itself states; None if it states none. They count after the caller's, and the scan's
         ``[file]`` table is then left aside.

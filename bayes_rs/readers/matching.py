@@ -60,7 +60,7 @@ def match_rays(
         check_positive(range_tolerance, what="range_tolerance", unit="m")
     n_ray = len(rays.time)
     no_time = np.isnat(rays.time)
-    first_beam = _first_of_direction(scan)
+    first_beam = first_of_direction(scan)
     along = _look_along(rays, scan, np.unique(first_beam), tolerance)
     if n_ray and not (along >= 0).any():
         raise InputError(
@@ -137,7 +137,7 @@ def nearest_beam(direction: FloatArray, scan: Scan, tolerance_deg: float) -> Int
     return np.where(inside, nearest, -1).astype(np.int64)
 
 
-def _first_of_direction(scan: Scan) -> IntArray:
+def first_of_direction(scan: Scan) -> IntArray:
     """Return for each beam the index of the first beam with its direction."""
     tree = cKDTree(scan.beam_direction)
     return np.array([np.min(near) for near in tree.query_ball_point(scan.beam_direction, _SAME)], dtype=np.int64)

@@ -87,7 +87,7 @@ def read(files: str | Path | Sequence[str | Path], scan: str | Path | Scan, **op
         try:
             part = read_file(file, at_ranges, chosen)
             if len(part.time) == 0:
-                raise no_sample(file, part.counts.get("rows", 0))
+                raise no_sample(file, part.counts.get("rows", 0), part.counts.get("rows_cut", 0))
             if part.file_format.out_of_order == "error":
                 check_order(part)
         except InputError as error:

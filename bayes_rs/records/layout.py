@@ -86,6 +86,13 @@ class _ReadFile(Open):
     rows_invalid_value: Count = 0
     rows_dropped: Count = 0
     rows_unset_clock: Count = 0
+    rows_of_other_ranges: Count = 0
+    rows_without_range: Count = 0
+    rows_bad: Count = 0
+    rows_cut: Count = 0
+    first_bad_row: str = ""
+    ranges: list[Finite] = Field(default_factory=list)
+    ranges_used: list[Finite] = Field(default_factory=list)
     velocities_impossible: Count = 0
     samples_out_of_order: Count = 0
     impossible_values: dict[str, Count] = Field(default_factory=dict)

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.geometry.ranged_scan import short
+from bayes_rs.readers.unnamed_ranges import listed_ranges
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.records.layout import OF_RANGES, REPORT
 from bayes_rs.records.ranges import split_ranges
@@ -26,6 +27,10 @@ _ROWS_TOLD = (
     "velocities_impossible",
     "rows_unset_clock",
     "rows_dropped",
+    "rows_of_other_ranges",
+    "rows_without_range",
+    "rows_bad",
+    "rows_cut",
     "samples_out_of_order",
 )
 _SURE = 1e-3
@@ -98,9 +103,17 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             ("velocities_impossible", "velocities that no wind has"),
             ("rows_unset_clock", "of a clock that was not set, set aside"),
             ("rows_dropped", "dropped without a time or a beam"),
+            ("rows_of_other_ranges", "of other ranges"),
+            ("rows_without_range", "dropped without a range"),
+            ("rows_bad", "bad ones left out"),
+            ("rows_cut", "cut at the end of the file, left out"),
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
             line += f"; {file[key]} {words}" if file.get(key) else ""
+        if "first_bad_row" in file:
+            line += f"; the first bad row: {file['first_bad_row']}"
+        if "ranges" in file:
+            line += f"; ranges read: {listed_ranges(file['ranges_used'])} of {listed_ranges(file['ranges'])} m"
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
@@ -116,7 +129,8 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
     line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"
     if report["duplicates_dropped"]:
         line += f"; {report['duplicates_dropped']} repeated ones dropped"
-        line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
+        differ = report["duplicates_that_differ"]
+        line += f", {differ} of which differ: their samples count as missing" if differ else ""
     return [*lines, line]
 
 

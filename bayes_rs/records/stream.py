@@ -19,7 +19,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.belief import add_told
 from bayes_rs.quality.rules import QualityRules
-from bayes_rs.quality.samples import IntArray
+from bayes_rs.quality.samples import IntArray, distinct, ends_by_beam, is_sorted
 from bayes_rs.readers.ranged_series import scan_of_series, stacked
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.counts import flags_report
@@ -174,15 +174,16 @@ def add_chunk(
         _check_alike(state, columns, attributes)
     before = np.maximum.accumulate(np.concatenate([[time[0] if state.latest is None else state.latest], time]))
     late = time // window < (before[:-1] - wait) // window
+    on_time = ~late if late.any() else slice(None)
     out_of_order, latest_of_beam = _out_of_order(time, beam, state.latest_of_beam)
     if late.any() and not state.late:
         index = int(np.argmax(late))
         first_late = f"beam {beam[index]} at {_utc(time[index])}, after a sample of {_utc(before[index])}"
         state = replace(state, first_late=first_late)
-    all_time = np.concatenate([state.time, time[~late]])
-    all_beam = np.concatenate([state.beam, beam[~late]])
+    all_time = np.concatenate([state.time, time[on_time]])
+    all_beam = np.concatenate([state.beam, beam[on_time]])
     all_columns = {
-        name: np.concatenate([state.columns[name], values[~late]]) if name in state.columns else values[~late]
+        name: np.concatenate([state.columns[name], values[on_time]]) if name in state.columns else values[on_time]
         for name, values in columns.items()
     }
     latest = int(before[-1])
@@ -366,7 +367,7 @@ def _arrays(chunk: xr.Dataset, scan: Scan) -> tuple[IntArray, IntArray, dict[str
     if not np.issubdtype(chunk["time"].dtype, np.datetime64) or bool(np.isnat(chunk["time"].values).any()):
         raise InputError("Invalid chunk of a series: every time must be a UTC time of type datetime64.")
     beam = np.asarray(chunk["beam"].values)
-    foreign = np.setdiff1d(beam, scan.beam)
+    foreign = np.setdiff1d(distinct(beam), scan.beam)
     if len(foreign):
         raise InputError(
             f"Unknown beam {foreign[0]} in a chunk of a series: the beams of the scan {scan.name!r} are "
@@ -394,6 +395,8 @@ def _check_alike(state: StreamState, columns: Mapping[str, Any], attributes: Map
 
 def _out_of_order(time: IntArray, beam: IntArray, latest: Mapping[int, int]) -> tuple[int, dict[int, int]]:
     """Count the samples that are earlier than one of the same beam before them; return the latest of each beam, too."""
+    if is_sorted(time) and (not latest or len(time) == 0 or time[0] >= max(latest.values())):
+        return 0, {**latest, **{number: end for number, (_, end) in ends_by_beam(time, beam).items()}}
     order = np.argsort(beam, kind="stable")
     edges = np.flatnonzero(np.diff(beam[order])) + 1
     count, after = 0, dict(latest)
