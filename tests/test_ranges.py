@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from ray_files import rays_of, six_beam, windcube_sweep, write_windcube
@@ -194,6 +195,77 @@ class TestReading:
         table.write_text("time,vr_0,vr_1\n2024-01-01T00:00:00,1,2\n2024-01-01T00:00:01,1,2\n")
         with pytest.raises(InputError, match="does not say at which range it was measured"):
             read(table, "2-beam", range=[80.0])
+
+
+class TestPulsedTable:
+    """A pulsed nacelle lidar's own table: a row for each beam and distance."""
+
+    DISTANCES = (80.0, 120.0, 160.0, 178.0, 200.0)
+
+    @staticmethod
+    def write(file, distances, *, n_scan=300):
+        rng = np.random.default_rng(2)
+        time = np.datetime64("2024-03-01T00:00", "ns") + np.arange(n_scan * 4) * np.timedelta64(1, "s")
+        rows = pd.DataFrame(
+            [
+                (stamp, beam, distance, round(9.0 + (1.0 + place) * rng.normal(), 3), -12.0, 1)
+                for stamp, beam in zip(time, np.tile(np.arange(4), n_scan), strict=True)
+                for place, distance in enumerate(distances)
+            ],
+            columns=["Timestamp", "LOSindex", "Distance", "RWS", "CNR", "RWSStatus"],
+        )
+        rows.to_csv(file, index=False)
+        return rows
+
+    def test_all_distances_are_read_and_stay_apart(self, tmp_path):
+        rows = self.write(tmp_path / "a.csv", self.DISTANCES)
+        records = make_records(read(tmp_path / "a.csv", "pulsed-4-beam"), "pulsed-4-beam")
+        assert records["range"].values.tolist() == list(self.DISTANCES)
+        for place, distance in enumerate(self.DISTANCES):
+            for beam in range(4):
+                own = rows[(rows["Distance"] == distance) & (rows["LOSindex"] == beam)].iloc[:150]
+                found = records["variance"].values[place, 0, beam]
+                np.testing.assert_allclose(found, np.var(own["RWS"]), rtol=1e-12)
+        # the standard deviations were 1 to 5 m/s: no range has that of another
+        assert (np.diff(records["variance"].values[:, 0].mean(axis=1)) > 1.0).all()
+
+    def test_some_are_taken_by_what_is_near(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        series = read(tmp_path / "a.csv", "pulsed-4-beam", range=[122.0, 80.0])
+        assert np.unique(series["range"].values).tolist() == [80.0, 120.0]
+        report = json.loads(series.attrs["read_report"])["files"][0]
+        assert report["rows_of_other_ranges"] == 3 * 1200
+
+    def test_the_scans_own_distance_alone_is_no_dimension(self, tmp_path):
+        self.write(tmp_path / "a.csv", [178.0])
+        assert "range" not in read(tmp_path / "a.csv", "pulsed-4-beam").coords
+        self.write(tmp_path / "b.csv", [120.0])
+        assert np.unique(read(tmp_path / "b.csv", "pulsed-4-beam")["range"].values).tolist() == [120.0]
+
+    def test_who_gives_a_distance_gets_that_alone(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        series = read(tmp_path / "a.csv", load_scan("pulsed-4-beam", focus_distance=160.0))
+        assert "range" not in series.coords
+        assert series.sizes["sample"] == 1200
+
+    def test_a_series_is_written_and_read_with_its_ranges(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        series = read(tmp_path / "a.csv", "pulsed-4-beam")
+        series.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+        again = read(tmp_path / "a.nc", "pulsed-4-beam", range="all")
+        for name in ("radial_velocity", "time", "beam", "range"):
+            np.testing.assert_array_equal(series[name].values, again[name].values)
+        one = read(tmp_path / "a.nc", load_scan("pulsed-4-beam", focus_distance=160.0))
+        np.testing.assert_array_equal(
+            one["radial_velocity"].values, series["radial_velocity"].values[series["range"].values == 160.0]
+        )
+
+    def test_a_file_among_others_that_says_no_range_is_refused(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        other = pd.read_csv(tmp_path / "a.csv").query("Distance == 80").drop(columns="Distance")
+        other.to_csv(tmp_path / "b.csv", index=False)
+        with pytest.raises(InputError, match=r"b.csv.* does not say at which range"):
+            read([tmp_path / "a.csv", tmp_path / "b.csv"], "pulsed-4-beam")
 
 
 class TestRecordsAtRanges:

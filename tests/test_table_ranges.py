@@ -17,7 +17,7 @@ from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.long_table import ranges_of_table
 from bayes_rs.records import describe_report, make_records
 
-FOUR = brs.load_scan("pulsed-4-beam")
+FOUR = brs.load_scan("pulsed-4-beam", focus_distance=178.0)
 RANGES = (80.0, 120.0, 178.0, 240.0, 300.0)
 VARIANCE = dict(zip(RANGES, (0.1, 0.5, 1.0, 2.0, 3.0), strict=True))
 OTHERS = {"columns": {"range": "Distance"}}

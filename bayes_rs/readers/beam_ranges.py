@@ -61,6 +61,15 @@ class BeamRanges:
         return np.where(fits, self.scan.beam[found], number), fits
 
 
+def no_range(file: Path) -> InputError:
+    """Return the error to raise for a file that says no range, where R is wanted at several."""
+    return InputError(
+        f"File {str(file)!r} does not say at which range it was measured, and R is wanted at several: say which column "
+        "holds it with columns={'range': 'its heading'} (--column range=HEADING), or leave range and height (--range, "
+        "--height) out."
+    )
+
+
 def match_ranges(ranges: FloatArray, scan: Scan, file: Path, file_format: FileFormat) -> BeamRanges:
     """Find the range of a file that each beam of a scan has.
 

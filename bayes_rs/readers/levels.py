@@ -12,6 +12,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import ALL_RANGES, FileOptions
 from bayes_rs.geometry.ranged_scan import RangedScan, check_one_distance, distances_at, looks_up, short
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.matching import nearest_beam, nearest_gates
 from bayes_rs.readers.one_file import opened_reader
 
@@ -54,11 +55,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     gates = _gates(paths, scan, options)
     if gates is None:
         if asked:
-            raise InputError(
-                f"File {str(paths[0])!r} does not say at which range it was measured, so none can be chosen: say which "
-                "column holds it with columns={'range': 'its heading'} (--column range=HEADING), or leave range and "
-                "height out."
-            )
+            raise no_range(paths[0])
         return scan
     if options.height is not None or (wanted == ALL_RANGES and looks_up(scan)):
         distance = _at_heights(gates, scan, options, paths)

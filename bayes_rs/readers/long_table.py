@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.readers.beam_ranges import BeamRanges, match_ranges
+from bayes_rs.readers.beam_ranges import BeamRanges, match_ranges, no_range
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
@@ -82,6 +83,8 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
             if must:
                 raise table.missing(name)
             del heading[name]
+    if isinstance(scan, RangedScan) and "range" not in heading:
+        raise no_range(file)
     by_range = match_ranges(_ranges(table), scan, file, file_format) if "range" in heading else None
     unused = () if by_range else like_ranges(table.headings, file_format, tuple(heading.values()))
     wanted, text = list(dict.fromkeys([*heading.values(), *unused])), [heading["time"], heading["beam"]]

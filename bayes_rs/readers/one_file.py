@@ -11,6 +11,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
@@ -99,10 +100,7 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
 def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, FileFormat]:
     reader = _find(file, scan, options) if options.file_format == "auto" else READERS[options.file_format]
     if isinstance(scan, RangedScan) and reader.rays is None and reader.ranges is None:
-        raise InputError(
-            f"File {str(file)!r}, read as {reader.name}, does not say at which range it was measured, and R is wanted "
-            "at several: give files that say it, or leave range and height (--range, --height) out."
-        )
+        raise no_range(file)
     own = reader.own_options(file) if reader.own_options is not None else None
     if own is None:
         return reader, resolve_format(options, scan, defaults=reader.defaults)
