@@ -54,5 +54,7 @@ def note_processor(kinds: list[str], kind: str) -> bool:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Have BLAS calculate with one thread: sums are then in one order, whatever the number of cores."""
+    import scipy.linalg  # noqa: F401, PLC0415 - it brings a BLAS of its own, and only one that is there is limited
+
     with threadpool_limits(1):
         yield

@@ -110,7 +110,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["campaign", "comparison", "corner", "lumley", "spectra", "stresses"],
+    "plot": ["campaign", "comparison", "corner", "lumley", "profile", "spectra", "stresses"],
     "priors": [
         "CampaignPrior",
         "FlatPrior",
@@ -157,6 +157,7 @@ SUBJECTS = {
         "REMARK_FLAGS",
         "RecordOptions",
         "StoredRecords",
+        "at_range",
         "availability_table",
         "describe_report",
         "make_records",

@@ -408,6 +408,34 @@ class TestTablesOfRays:
         with pytest.raises(InputError, match=r"Invalid time '2024-03-01 noon' in column 'Date Time', line 6 of file"):
             read(tmp_path / "a.csv", SIX, positive="away")
 
+    def test_bad_rows_are_left_out_counted_and_the_first_is_named(self, tmp_path):
+        frame = ray_frame(RAYS, velocity="rws").astype({"rws": object, "azimuth": object})
+        frame.loc[9, "rws"], frame.loc[3, "azimuth"] = "fast", "north"  # of gates that no beam takes
+        file = tmp_path / "a.csv"
+        frame.to_csv(file, index=False)
+        with pytest.raises(InputError, match=r"Invalid azimuth 'north' in column 'azimuth', line 5 .* bad_rows='drop'"):
+            read(file, SIX, positive="away")
+        series = read(file, SIX, positive="away", bad_rows="drop")
+        report = report_of(series)["files"][0]
+        assert report["rows_bad"] == 2
+        assert "Invalid azimuth 'north'" in report["first_bad_row"]
+        assert series.sizes["sample"] == SERIES.sizes["sample"]
+        wide = gate_frame(RAYS, velocity="rws_{}", distance="range_{}").astype({"rws_0": object})
+        wide.loc[5, "rws_0"] = "fast"
+        wide.to_csv(file, index=False)
+        series = read(file, SIX, positive="away", bad_rows="drop")
+        assert report_of(series)["files"][0]["rows_bad"] == 1
+        assert series.sizes["sample"] == SERIES.sizes["sample"] - 2
+
+    def test_a_last_row_that_is_cut_is_not_believed(self, tmp_path):
+        frame = ray_frame(RAYS.take(slice(0, 30)), velocity="rws").drop(columns=["cnr", "status"])
+        file = tmp_path / "a.csv"
+        frame.to_csv(file, index=False)
+        file.write_bytes(file.read_bytes()[:-3])
+        series = read(file, SIX, positive="away")
+        assert report_of(series)["files"][0]["rows_cut"] == 1
+        assert series.sizes["sample"] == 60
+
     def test_what_is_not_in_decibels_is_no_cnr(self, tmp_path):
         frame = ray_frame(RAYS, velocity="rws", cnr="SNR [1]")
         frame.to_csv(tmp_path / "a.csv", index=False)
@@ -435,3 +463,18 @@ class TestTablesOfRays:
         frame["beam"] = np.tile(np.arange(6), len(frame) // 6)
         frame.to_csv(tmp_path / "a.csv", index=False)
         assert report_of(read(tmp_path / "a.csv", SIX))["files"][0]["format"] == "long"
+
+
+class TestSeveralRanges:
+    """All beams at each of several heights, from formats whose rays have all their gates."""
+
+    @pytest.mark.parametrize("name", WRITERS)
+    def test_each_height_is_read_by_itself(self, tmp_path, name):
+        file = WRITERS[name](tmp_path)
+        ranged = read(file, six_beam(100.0, step=1.0), height=(100.0, 150.0))
+        rise = six_beam(100.0).beam_direction[ranged["beam"].values, 2]
+        for height in (100.0, 150.0):
+            alone = read(file, six_beam(height, step=1.0))
+            here = np.abs(ranged["range"].values * rise - height) < 1.0
+            np.testing.assert_array_equal(ranged["radial_velocity"].values[here], alone["radial_velocity"].values)
+            np.testing.assert_array_equal(ranged["time"].values[here], alone["time"].values)

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
@@ -59,6 +61,14 @@ def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Ite
         yield from believed(named(_with_status(part, options)) for part in pieces(plain, scan, file_format, n_row))
 
 
+@contextmanager
+def opened_reader(file: Path, scan: Scan, options: FileOptions) -> Iterator[tuple[Reader, Path, FileFormat]]:
+    """Give the reader of a file, the unpacked file, and the options that it is read with."""
+    with _plain(file, options.file_format) as (plain, _):
+        reader, file_format = _reader_of(plain, scan, options)
+        yield reader, plain, file_format
+
+
 def _with_status(samples: Samples, options: FileOptions) -> Samples:
     """Return the samples; refuse those without a status if the caller says which status is good."""
     if options.status_valid is not None and samples.status is None:
@@ -93,6 +103,8 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
 
 def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, FileFormat]:
     reader = _find(file, scan, options) if options.file_format == "auto" else READERS[options.file_format]
+    if isinstance(scan, RangedScan) and reader.rays is None and reader.ranges is None:
+        raise no_range(file)
     own = reader.own_options(file) if reader.own_options is not None else None
     if own is None:
         file_format = resolve_format(options, scan, defaults=reader.defaults)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,11 +72,18 @@ def ray_table_rays(file: Path, file_format: FileFormat, *, kind: str = "rays") -
     row for each ray, the columns of the gates have one number each in their headings: that of a column of distances, or
     metres along the beam or above the lidar. A unit in a heading counts where nobody gives ``velocity_unit``.
     """
+    return _read(file, file_format, kind)[0]
+
+
+def _read(file: Path, file_format: FileFormat, kind: str) -> tuple[Rays, Mapping[str, str]]:
+    """Return the rays, and what the report says of rows that were left out."""
     table = open_table(file, file_format)
     columns = find_ray_columns(table)
     table = replace(table, file_format=_with_unit(columns, file_format, file))
     data = _Data(table, columns)
-    return _whole_rays(data, kind) if columns.per_gate else _rays_of_gates(data, kind)
+    rays = _whole_rays(data, kind) if columns.per_gate else _rays_of_gates(data, kind)
+    counts = {**rays.counts, **table.bad.counts(table.first_row, len(data.row))}
+    return replace(rays, counts=counts), table.bad.facts()
 
 
 class _Data:
@@ -133,6 +140,11 @@ class _Data:
             return values / np.where(rise > 0.0, rise, np.nan)
         return values
 
+    def left_out(self) -> BoolArray:
+        """Say which rows are bad, when all columns have been read."""
+        self.table.bad.check(len(self.row))
+        return self.table.bad.mask(self.table.first_row, len(self.row))
+
     def _angle(self, name: str, heading: Heading) -> FloatArray:
         if heading.unit not in (*_DEGREES, *_RADIANS):
             raise unknown_unit(self.table.file, heading, "degrees or radians")
@@ -165,6 +177,8 @@ def _rays_of_gates(data: _Data, kind: str) -> Rays:
         invalid=data.invalid,
         row=data.row,
     )
+    left_out = data.left_out()
+    rows = rows.select(~left_out) if left_out.any() else rows
     return rays_of_rows(rows, data.table.file, data.table.file_format, kind=kind, row_word=data.row_word)
 
 
@@ -181,19 +195,20 @@ def _whole_rays(data: _Data, kind: str) -> Rays:
 
     velocity = in_order("radial_velocity", columns.radial_velocity)
     cnr, status = in_order("cnr", columns.cnr), in_order("status", columns.status)
+    kept = np.flatnonzero(~data.left_out())
     return Rays(
         file=data.table.file,
         kind=kind,
         file_format=file_format,
-        time=file_format.to_start(data.time),
-        direction=direction_of(data.azimuth, data.elevation),
-        distance=np.take_along_axis(distance, order, axis=1),
-        radial_velocity=file_format.to_away(np.full(distance.shape, np.nan) if velocity is None else velocity),
-        cnr=cnr,
-        status=status,
-        row=data.row,
+        time=file_format.to_start(data.time[kept]),
+        direction=direction_of(data.azimuth[kept], data.elevation[kept]),
+        distance=np.take_along_axis(distance, order, axis=1)[kept],
+        radial_velocity=file_format.to_away(np.full(distance.shape, np.nan) if velocity is None else velocity)[kept],
+        cnr=None if cnr is None else cnr[kept],
+        status=None if status is None else status[kept],
+        row=data.row[kept],
         row_word=data.row_word,
-        counts=counts_of(len(data.row), invalid=int(data.invalid.sum()), dropped=0),
+        counts=counts_of(len(kept), invalid=int(data.invalid[kept].sum()), dropped=0),
     )
 
 
@@ -239,12 +254,14 @@ def _reader(name: str, **more: Any) -> Reader:
         return ray_table_rays(file, file_format, kind=name)
 
     def read(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-        return match_rays(
-            rays(file, file_format),
+        found, facts = _read(file, file_format, name)
+        samples = match_rays(
+            found,
             scan,
             angle_tolerance_deg=file_format.angle_tolerance_deg,
             range_tolerance=file_format.range_tolerance,
         )
+        return replace(samples, facts={**samples.facts, **facts})
 
     return Reader(name=name, suffixes=TABLE_SUFFIXES, read=read, rays=rays, **more)
 

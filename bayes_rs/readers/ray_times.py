@@ -22,6 +22,8 @@ def times_of_rays(column: Column, file_format: FileFormat) -> tuple[NDArray[np.d
     InputError
         If an entry is not a date and time. The message names its line.
     """
+    if column.bad is not None and column.bad.drop:
+        return times(column, file_format)  # which says of every row that it is bad
     if not (pd.api.types.is_object_dtype(column.values.dtype) or pd.api.types.is_string_dtype(column.values.dtype)):
         return times(column, file_format)
     code, texts = pd.factorize(column.values)
@@ -30,9 +32,9 @@ def times_of_rays(column: Column, file_format: FileFormat) -> tuple[NDArray[np.d
     first = np.full(len(texts), -1)
     known = np.flatnonzero(code >= 0)
     first[code[known][::-1]] = known[::-1]
-    rows = column.rows if isinstance(column, PlacedColumn) else column.first_row + np.arange(len(code))
+    rows = column.rows if isinstance(column, PlacedColumn) else column.first_row + np.arange(len(code), dtype=np.int64)
     distinct = PlacedColumn(
-        column.name, column.heading, pd.Series(texts), column.file, column.row_word, 1, rows[first].astype(np.int64)
+        column.name, column.heading, pd.Series(texts), column.file, column.row_word, 1, column.bad, rows[first]
     )
     time, invalid = times(distinct, file_format)
     return np.where(code < 0, np.datetime64("NaT", "ns"), time[code]), np.where(code < 0, False, invalid[code])

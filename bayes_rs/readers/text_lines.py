@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ _NEWLINE, _RETURN, _SPACE = 10, 13, 32
 class PlacedColumn(Column):
     """A column that says for each entry where it stands, because some lines of the file are not in it."""
 
-    rows: IntArray
+    rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def where(self, index: int) -> str:
         """Say where entry `index` stands."""
@@ -86,7 +86,7 @@ class TextRows:
     def column(self, name: str, index: int, heading: str | None = None) -> PlacedColumn:
         """Return one column; `heading` is what the file calls it, else its number from 1."""
         own = str(index + 1) if heading is None else heading
-        return PlacedColumn(name, own, self.frame[index], self.file, "line", 1, self.rows)
+        return PlacedColumn(name, own, self.frame[index], self.file, "line", 1, rows=self.rows)
 
 
 def read_lines(file: Path, *, without: Sequence[bytes] = (b"\0",)) -> TextLines:

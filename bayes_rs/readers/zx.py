@@ -185,6 +185,9 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
         if name != "time":
             value[name], is_invalid = numbers(column[name], file_format)
             invalid = invalid | is_invalid
+    first_row = column["time"].first_row
+    time = np.where(table.bad.mask(first_row, len(time)), np.datetime64("NaT", "ns"), time)
+    table.bad.check(len(time))
     turn = 1.0 if file_format.phase_turns == "up" else -1.0
     measured = np.rad2deg(value["phase"]) if _RADIAN.fullmatch(heading["phase"]) else value["phase"]
     phase = np.deg2rad(file_format.phase_zero_deg + turn * measured)
@@ -207,6 +210,7 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             "rows_dropped": 0,
             "rows_without_time": 0,
             "rows_without_beam": 0,
+            **table.bad.counts(first_row, len(time)),
         },
     )
     return match_rays(rays, scan, angle_tolerance_deg=file_format.angle_tolerance_deg)
