@@ -102,7 +102,7 @@ class TestWindScanner:
         file = write_windscanner(tmp_path / "a.txt", RAYS)
         file.write_bytes(file.read_bytes()[:-60] + b"\0" * 500)
         series = read(file, SIX)
-        assert report_of(series)["rows_dropped"] == 1
+        assert report_of(series)["files"][0]["rows_cut"] == 1
         assert series.sizes["sample"] == SERIES.sizes["sample"] - 2
 
     def test_a_cut_number_is_not_believed(self, tmp_path):
@@ -161,7 +161,7 @@ class TestGalion:
         rays = galion_rays(file, resolved("galion", gate_length=50.0))
         assert rays.radial_velocity.shape == RAYS.velocity.shape
         assert np.isnan(rays.radial_velocity[-1, -1])
-        assert rays.counts["rows_dropped"] == 1
+        assert rays.counts["rows_cut"] == 1
 
     def test_no_headings(self, tmp_path):
         (tmp_path / "a.scn").write_text("Filename:\ta.scn\n0\t1.5\t1.1\n")
@@ -234,7 +234,7 @@ class TestWindCubeText:
     def test_a_cut_last_line_is_dropped_and_counted(self, tmp_path):
         file = write_rtd(tmp_path / "a.rtd", at_heights(RAYS))
         file.write_bytes(file.read_bytes()[:-40])
-        assert report_of(read(file, SIX))["rows_dropped"] == 1
+        assert report_of(read(file, SIX))["files"][0]["rows_cut"] == 1
 
 
 class TestNotRead:
@@ -449,7 +449,7 @@ class TestTablesOfRays:
         frame.to_csv(tmp_path / "a.csv", index=False)
         series = read(tmp_path / "a.csv", SIX, positive="away")
         assert_read_back(series)
-        assert report_of(series)["rows_dropped"] == 2
+        assert report_of(series)["files"][0]["rows_without_range"] == 2
 
     def test_an_angle_that_is_none(self, tmp_path):
         frame = ray_frame(RAYS, velocity="rws")

@@ -105,7 +105,7 @@ def galion_rays(file: Path, file_format: FileFormat) -> Rays:
         invalid=invalid | bad_time,
         row=table.rows,
     )
-    return rays_of_rows(rows, file, file_format, kind="galion", row_word="line", n_dropped=table.n_dropped)
+    return rays_of_rows(rows, file, file_format, kind="galion", row_word="line", n_cut=table.n_cut)
 
 
 def _below_headings(lines: TextLines) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -67,7 +66,7 @@ def rays_of_rows(
     *,
     kind: str,
     row_word: str,
-    n_dropped: int = 0,
+    n_cut: int = 0,
     accumulation_time: FloatArray | None = None,
 ) -> Rays:
     """Return the rays that rows of gates are.
@@ -78,8 +77,8 @@ def rays_of_rows(
         The rows, in any order.
     file, file_format, kind, row_word
         As in `Rays`.
-    n_dropped : int
-        Rows of the file that were dropped before.
+    n_cut : int
+        Rows that were left out because the file is cut off within them.
     accumulation_time : ndarray, shape (n_row,), optional
         s.
 
@@ -98,7 +97,6 @@ def rays_of_rows(
     check_angles(rows.azimuth, rows.elevation, rows.row, row_word, file)
     known = np.isfinite(rows.distance) & (rows.distance > 0.0)
     if not known.all():
-        n_dropped += int((~known).sum())
         rows = rows.select(known)
         accumulation_time = None if accumulation_time is None else accumulation_time[known]
     ray, gate, first = ray_and_gate(rows.time, rows.azimuth, rows.elevation, rows.distance)
@@ -132,19 +130,21 @@ def rays_of_rows(
         status=None if rows.status is None else spread(rows.status),
         row=rows.row[first],
         row_word=row_word,
-        counts=counts_of(n_ray, invalid=int(invalid.sum()), dropped=n_dropped),
+        counts=counts_of(n_ray, invalid=int(invalid.sum()), cut=n_cut, without_range=int((~known).sum())),
         accumulation_time=duration,
     )
 
 
-def counts_of(n_ray: int, *, invalid: int, dropped: int) -> Mapping[str, int]:
-    """Return the counts of a file of rays, of which `dropped` lines could not be read."""
+def counts_of(n_ray: int, *, invalid: int, cut: int = 0, without_range: int = 0) -> dict[str, int]:
+    """Return the counts of a file of rays; those of lines cut off and of rows without a distance if there are any."""
+    more = {"rows_cut": cut, "rows_without_range": without_range}
     return {
-        "rows": n_ray + dropped,
+        "rows": n_ray + cut,
         "rows_invalid_value": invalid,
-        "rows_dropped": dropped,
+        "rows_dropped": 0,
         "rows_without_time": 0,
         "rows_without_beam": 0,
+        **{name: count for name, count in more.items() if count},
     }
 
 

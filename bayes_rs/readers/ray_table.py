@@ -208,7 +208,7 @@ def _whole_rays(data: _Data, kind: str) -> Rays:
         status=None if status is None else status[kept],
         row=data.row[kept],
         row_word=data.row_word,
-        counts=counts_of(len(kept), invalid=int(data.invalid[kept].sum()), dropped=0),
+        counts=counts_of(len(kept), invalid=int(data.invalid[kept].sum())),
     )
 
 

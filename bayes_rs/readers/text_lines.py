@@ -20,6 +20,7 @@ IntArray = NDArray[np.int64]
 
 _MOST_TAIL = 20
 """Lines that are not as the others, at the end of a file, that are dropped: a cut line, a footer."""
+_LONGEST_LINE = 1 << 20  # bytes
 _NEWLINE, _RETURN, _SPACE = 10, 13, 32
 
 
@@ -80,7 +81,7 @@ class TextRows:
 
     frame: pd.DataFrame
     rows: IntArray
-    n_dropped: int
+    n_cut: int
     file: Path
 
     def column(self, name: str, index: int, heading: str | None = None) -> PlacedColumn:
@@ -112,14 +113,13 @@ def read_lines(file: Path, *, without: Sequence[bytes] = (b"\0",)) -> TextLines:
     return TextLines(file, raw, start.astype(np.int64), (end - with_return).astype(np.int64))
 
 
-def first_lines(file: Path, n: int = 100, *, most_bytes: int = 1 << 20) -> list[str]:
-    """Return the first lines of a file as text, for a look at what it is; none if it cannot be read."""
+def first_line(file: Path) -> str:
+    """Return the first line of a file as text, for a look at what it is; empty if it cannot be read."""
     try:
         with file.open("rb") as opened:
-            raw = opened.read(most_bytes).replace(b"\0", b"")
+            return opened.readline(_LONGEST_LINE).replace(b"\0", b"").decode("latin-1").strip("\r\n")
     except UNREADABLE:
-        return []
-    return [line.strip("\r") for line in raw.decode("latin-1").split("\n", n)[:n]]
+        return ""
 
 
 def whole_rows(

@@ -168,8 +168,8 @@ def _read_one(
         {name: ("time", value[known], attributes.get(name, {})) for name, value in values.items()},
         coords={"time": ("time", time[known])},
     )
-    dropped = table.n_dropped + int((~known).sum())
-    return dataset, {"rows": len(time) + table.n_dropped, "rows_dropped": dropped, "rows_bad_status": int(bad.sum())}
+    dropped = table.n_cut + int((~known).sum())
+    return dataset, {"rows": len(time) + table.n_cut, "rows_dropped": dropped, "rows_bad_status": int(bad.sum())}
 
 
 def _header(lines: TextLines) -> tuple[list[str], list[str]]:

@@ -138,7 +138,7 @@ def windcube_text_rays(file: Path, file_format: FileFormat) -> Rays:
         status=None,
         row=table.rows,
         row_word="line",
-        counts=counts_of(len(time), invalid=int(invalid.sum()), dropped=table.n_dropped),
+        counts=counts_of(len(time), invalid=int(invalid.sum()), cut=table.n_cut),
         accumulation_time=duration,
     )
 

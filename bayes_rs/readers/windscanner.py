@@ -15,7 +15,7 @@ from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_groups import check_angles, counts_of
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.text_lines import first_lines, read_lines, whole_rows
+from bayes_rs.readers.text_lines import first_line, read_lines, whole_rows
 
 SUFFIXES = (".txt", ".csv")
 DEFAULTS = {"positive": "away", "separator": ";", "time_format": "labview", "time_stamp": "start", "time_zone": "UTC"}
@@ -28,8 +28,7 @@ _LONGEST = 600.0  # s, of a ray
 
 def recognises_windscanner(file: Path, _scan: Scan, file_format: FileFormat) -> bool:
     """Say whether the first line has numbers only: two times since 1904, two angles, and four for each gate."""
-    lines = first_lines(file, 1)
-    return bool(lines) and _start_at(lines[0], file_format.separator) is not None
+    return _start_at(first_line(file), file_format.separator) is not None
 
 
 def read_windscanner(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -121,7 +120,7 @@ def windscanner_rays(file: Path, file_format: FileFormat) -> Rays:
         status=None,
         row=table.rows,
         row_word="line",
-        counts=counts_of(len(table.rows), invalid=int(invalid.sum()), dropped=table.n_dropped),
+        counts=counts_of(len(table.rows), invalid=int(invalid.sum()), cut=table.n_cut),
         accumulation_time=duration,
     )
 
