@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -89,6 +90,53 @@ class TestWrittenAndRead:
 
     def test_compressed(self, tmp_path, name):
         assert_read_back(read(compress(WRITERS[name](tmp_path), ".gz"), SIX))
+
+
+class TestBadRows:
+    """Lines of another length, and entries that are no numbers, in the middle of a file."""
+
+    CASES: ClassVar = {
+        "windscanner": (lambda folder: write_windscanner(folder / "a.txt", RAYS), 0, ";", {}),
+        "windcube-text": (lambda folder: write_rtd(folder / "a.rtd", at_heights(RAYS)), 12, "\t", {}),
+        "galion": (lambda folder: write_scn(folder / "a.scn", RAYS), 6, "\t", {"gate_length": 50.0}),
+    }  # the last two: lines of header, and what separates entries
+
+    @pytest.mark.parametrize("name", CASES)
+    def test_are_refused_or_left_out_counted_and_the_first_named(self, tmp_path, name):
+        write, n_head, separator, options = self.CASES[name]
+        file = write(tmp_path)
+        whole = READERS[name].rays(file, resolved(name, **options))
+        lines = file.read_bytes().split(b"\n")
+        lines[n_head + 3] = lines[n_head + 3][:30]
+        words = lines[n_head + 6].decode("latin-1").split(separator)
+        words[1 if name == "galion" else 5] = "oops"
+        lines[n_head + 6] = separator.join(words).encode("latin-1")
+        file.write_bytes(b"\n".join(lines))
+        with pytest.raises(
+            InputError, match=rf"Line {n_head + 4} of file .* entries, .* bad_rows='drop' \(--bad-rows drop"
+        ):
+            READERS[name].rays(file, resolved(name, **options))
+        rays = READERS[name].rays(file, resolved(name, bad_rows="drop", **options))
+        assert rays.counts["rows_bad"] == 2
+        assert rays.facts["first_bad_row"].startswith(f"Line {n_head + 4} of file")
+        if name == "galion":  # a row is a gate there
+            gone = np.isnan(rays.radial_velocity) & ~np.isnan(whole.radial_velocity)
+            assert gone.sum() == 2
+            np.testing.assert_array_equal(rays.radial_velocity[~gone], whole.radial_velocity[~gone])
+        else:
+            kept = np.delete(np.arange(len(whole.time)), [3, 6])
+            for field in ("time", "radial_velocity", "distance", "direction", "cnr", "row"):
+                np.testing.assert_array_equal(getattr(rays, field), getattr(whole, field)[kept], err_msg=field)
+
+    def test_a_file_with_many_is_none(self, tmp_path):
+        file = write_windscanner(tmp_path / "a.txt", RAYS)
+        lines = file.read_text().split("\n")
+        lines[10:30] = ["cut"] * 20
+        file.write_text("\n".join(lines))
+        with pytest.raises(
+            InputError, match=r"has 20 bad rows of 100, more than may be left out .* the first: Line 11"
+        ):
+            read(file, SIX, bad_rows="drop")
 
 
 class TestWindScanner:
@@ -410,7 +458,7 @@ class TestTablesOfRays:
 
     def test_bad_rows_are_left_out_counted_and_the_first_is_named(self, tmp_path):
         frame = ray_frame(RAYS, velocity="rws").astype({"rws": object, "azimuth": object})
-        frame.loc[9, "rws"], frame.loc[3, "azimuth"] = "fast", "north"  # of gates that no beam takes
+        frame.loc[8, "rws"], frame.loc[3, "azimuth"] = "fast", "north"  # of gates that no beam takes
         file = tmp_path / "a.csv"
         frame.to_csv(file, index=False)
         with pytest.raises(InputError, match=r"Invalid azimuth 'north' in column 'azimuth', line 5 .* bad_rows='drop'"):
@@ -442,6 +490,23 @@ class TestTablesOfRays:
         assert "cnr" not in read(tmp_path / "a.csv", SIX, positive="away")
         with pytest.raises(InputError, match=r"Unknown unit '1' in the heading 'SNR \[1\]' .* it must be dB"):
             read(tmp_path / "a.csv", SIX, positive="away", columns={"cnr": "SNR [1]"})
+
+    @pytest.mark.parametrize("name", ["distance", "Height [m]"])
+    def test_a_gate_that_a_ray_lacks_is_not_taken_for_its_neighbour(self, tmp_path, name):
+        table = at_heights(RAYS)
+        frame = ray_frame(table, velocity="rws", distance=name)
+        if name != "distance":
+            frame[name] = np.tile(HEIGHTS, len(RAYS.seconds))
+        frame.drop(index=[5, 18]).to_csv(tmp_path / "a.csv", index=False)  # 100 m of the second, 150 m of the fifth ray
+        series = read(tmp_path / "a.csv", SIX, positive="away")
+        kept = np.delete(np.arange(SERIES.sizes["sample"]), [2, 9])
+        order = np.lexsort((SERIES["beam"].values, SERIES["time"].values))[kept]
+        np.testing.assert_array_equal(series["radial_velocity"], SERIES["radial_velocity"].values[order])
+        wide = gate_frame(table, velocity="rws_{}", distance="range_{}")
+        wide.loc[1, "range_1"], wide.loc[4, "range_2"] = np.nan, np.nan
+        wide.to_csv(tmp_path / "a.csv", index=False)
+        series = read(tmp_path / "a.csv", SIX, positive="away")
+        np.testing.assert_array_equal(series["radial_velocity"], SERIES["radial_velocity"].values[order])
 
     def test_rows_without_a_distance_are_dropped_and_counted(self, tmp_path):
         frame = ray_frame(RAYS, velocity="rws")

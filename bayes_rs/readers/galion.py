@@ -80,8 +80,15 @@ def galion_rays(file: Path, file_format: FileFormat) -> Rays:
         )
     lines = read_lines(file)
     first = _below_headings(lines)
-    columns = list(range(6))
-    table = whole_rows(lines, first=first, separator="\t", n_field=[len(HEADINGS)], columns=columns, text=[_TIME])
+    table = whole_rows(
+        lines,
+        first=first,
+        separator="\t",
+        n_field=[len(HEADINGS)],
+        columns=list(range(6)),
+        text=[_TIME],
+        bad_rows=file_format.bad_rows,
+    )
     value, invalid = {}, np.zeros(len(table.rows), dtype=bool)
     for name, index in (
         ("gate", _GATE),
@@ -105,7 +112,16 @@ def galion_rays(file: Path, file_format: FileFormat) -> Rays:
         invalid=invalid | bad_time,
         row=table.rows,
     )
-    return rays_of_rows(rows, file, file_format, kind="galion", row_word="line", n_cut=table.n_cut)
+    kept = table.kept()
+    return rays_of_rows(
+        rows if kept.all() else rows.select(kept),
+        file,
+        file_format,
+        kind="galion",
+        row_word="line",
+        left_out=table.counts(),
+        facts=table.facts(),
+    )
 
 
 def _below_headings(lines: TextLines) -> int:

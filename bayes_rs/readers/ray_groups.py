@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,9 @@ class GateRows:
         Which rows hold a mark of a missing value.
     row : ndarray of int, shape (n_row,)
         Where each row stands.
+    place : ndarray, shape (n_row,), optional
+        What tells the gates of a ray apart, in the order of their distances, such as a height; the distance if not
+        given.
     """
 
     time: NDArray[np.datetime64]
@@ -51,6 +55,7 @@ class GateRows:
     status: FloatArray | None
     invalid: NDArray[np.bool_]
     row: IntArray
+    place: FloatArray | None = None
 
     def select(self, kept: NDArray[np.bool_]) -> GateRows:
         """Return some of the rows."""
@@ -66,7 +71,8 @@ def rays_of_rows(
     *,
     kind: str,
     row_word: str,
-    n_cut: int = 0,
+    left_out: Mapping[str, int],
+    facts: Mapping[str, Any],
     accumulation_time: FloatArray | None = None,
 ) -> Rays:
     """Return the rays that rows of gates are.
@@ -77,17 +83,19 @@ def rays_of_rows(
         The rows, in any order.
     file, file_format, kind, row_word
         As in `Rays`.
-    n_cut : int
-        Rows that were left out because the file is cut off within them.
+    left_out : mapping of str to int
+        Counts of rows that are not among these: ``rows_bad``, ``rows_cut``.
+    facts : mapping
+        What else the report says of the file.
     accumulation_time : ndarray, shape (n_row,), optional
         s.
 
     Returns
     -------
     rays : Rays
-        One for each time and direction, in the order of their first rows; the gates are sorted by distance, and filled
-        up with NaN. Where a gate stands there twice, the second belongs to another ray. Rows without a distance are
-        dropped, and counted.
+        One for each time and direction, in the order of their first rows; the gates are sorted by distance. A gate that
+        a ray lacks and others have is NaN, so that it is not taken for its neighbour. Where a gate stands there twice,
+        the second belongs to another ray. Rows without a distance are dropped, and counted.
 
     Raises
     ------
@@ -97,6 +105,7 @@ def rays_of_rows(
     check_angles(rows.azimuth, rows.elevation, rows.row, row_word, file)
     known = np.isfinite(rows.distance) & (rows.distance > 0.0)
     if not known.all():
+        left_out = {**left_out, "rows_without_range": int((~known).sum())}
         rows = rows.select(known)
         accumulation_time = None if accumulation_time is None else accumulation_time[known]
     ray, gate, first = ray_and_gate(rows.time, rows.azimuth, rows.elevation, rows.distance)
@@ -106,6 +115,7 @@ def rays_of_rows(
             f"File {str(file)!r} has {n_gate} rows of one time and direction, and {n_ray} times and directions for "
             f"{len(ray)} rows: these are no rays with gates; check which columns are time, azimuth and elevation."
         )
+    gate = with_holes(ray, gate, rows.distance if rows.place is None else rows.place, rows.elevation)
     already = n_ray * n_gate == len(ray) and np.array_equal(ray * n_gate + gate, np.arange(len(ray)))
 
     def spread(values: FloatArray) -> FloatArray:
@@ -130,21 +140,21 @@ def rays_of_rows(
         status=None if rows.status is None else spread(rows.status),
         row=rows.row[first],
         row_word=row_word,
-        counts=counts_of(n_ray, invalid=int(invalid.sum()), cut=n_cut, without_range=int((~known).sum())),
+        counts=counts_of(n_ray, invalid=int(invalid.sum()), left_out=left_out),
+        facts=facts,
         accumulation_time=duration,
     )
 
 
-def counts_of(n_ray: int, *, invalid: int, cut: int = 0, without_range: int = 0) -> dict[str, int]:
-    """Return the counts of a file of rays; those of lines cut off and of rows without a distance if there are any."""
-    more = {"rows_cut": cut, "rows_without_range": without_range}
+def counts_of(n_ray: int, *, invalid: int, left_out: Mapping[str, int]) -> dict[str, int]:
+    """Return the counts of a file of rays; `left_out` counts the rows that are none, by what they are called there."""
     return {
-        "rows": n_ray + cut,
+        "rows": n_ray + left_out.get("rows_bad", 0) + left_out.get("rows_cut", 0),
         "rows_invalid_value": invalid,
         "rows_dropped": 0,
         "rows_without_time": 0,
         "rows_without_beam": 0,
-        **{name: count for name, count in more.items() if count},
+        **left_out,
     }
 
 
@@ -202,6 +212,36 @@ def ray_and_gate(
     gate = np.empty(n_row, dtype=np.int64)
     gate[order] = _run_index(np.concatenate([[True], np.diff(ray[order]) > 0]))
     return ray, gate, np.sort(at)
+
+
+def with_holes(ray: IntArray, gate: IntArray, place: FloatArray, elevation: FloatArray) -> IntArray:
+    """Return the numbers of gates with those left out that a ray lacks and other rays of its kind have.
+
+    Rays are of one kind if one of them has all gates that any of them has: all rays of a file, or else those of one
+    elevation. Where they are not, gates are numbered without holes.
+
+    Examples
+    --------
+    >>> ray, gate = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
+    >>> with_holes(ray, gate, np.array([50.0, 100, 150, 50, 150]), np.full(5, 75.0)).tolist()
+    [0, 1, 2, 0, 2]
+    """
+    if len(ray) == 0 or (np.bincount(ray) == gate.max() + 1).all():
+        return gate
+    tenths = np.round(10.0 * np.nan_to_num(elevation))
+    for kind in (np.zeros(len(ray), dtype=np.int64), np.unique(tenths, return_inverse=True)[1].ravel()):
+        order = np.lexsort((place, kind))
+        new_kind = np.append(True, np.diff(kind[order]) > 0)
+        new = new_kind | np.append(True, np.diff(place[order]) > 0.0)
+        number = np.cumsum(new) - 1
+        rank = np.empty(len(ray), dtype=np.int64)
+        rank[order] = number - np.maximum.accumulate(np.where(new_kind, number, 0))
+        n_place, n_gate = (np.zeros(int(kind.max()) + 1, dtype=np.int64) for _ in range(2))
+        np.maximum.at(n_place, kind, rank)
+        np.maximum.at(n_gate, kind, gate)
+        if (n_place == n_gate).all():
+            return rank
+    return np.where((n_place == n_gate)[kind], rank, gate)
 
 
 def _bits(values: FloatArray) -> IntArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 _DEGREES = ("", "deg", "degree", "degrees", "°", "º", "\ufffd")
 _RADIANS = ("rad", "radian", "radians")
@@ -72,18 +73,11 @@ def ray_table_rays(file: Path, file_format: FileFormat, *, kind: str = "rays") -
     row for each ray, the columns of the gates have one number each in their headings: that of a column of distances, or
     metres along the beam or above the lidar. A unit in a heading counts where nobody gives ``velocity_unit``.
     """
-    return _read(file, file_format, kind)[0]
-
-
-def _read(file: Path, file_format: FileFormat, kind: str) -> tuple[Rays, Mapping[str, str]]:
-    """Return the rays, and what the report says of rows that were left out."""
     table = open_table(file, file_format)
     columns = find_ray_columns(table)
     table = replace(table, file_format=_with_unit(columns, file_format, file))
     data = _Data(table, columns)
-    rays = _whole_rays(data, kind) if columns.per_gate else _rays_of_gates(data, kind)
-    counts = {**rays.counts, **table.bad.counts(table.first_row, len(data.row))}
-    return replace(rays, counts=counts), table.bad.facts()
+    return _whole_rays(data, kind) if columns.per_gate else _rays_of_gates(data, kind)
 
 
 class _Data:
@@ -145,6 +139,10 @@ class _Data:
         self.table.bad.check(len(self.row))
         return self.table.bad.mask(self.table.first_row, len(self.row))
 
+    def counts(self) -> dict[str, int]:
+        """Count the rows that are left out."""
+        return self.table.bad.counts(self.table.first_row, len(self.row))
+
     def _angle(self, name: str, heading: Heading) -> FloatArray:
         if heading.unit not in (*_DEGREES, *_RADIANS):
             raise unknown_unit(self.table.file, heading, "degrees or radians")
@@ -166,6 +164,7 @@ def _rays_of_gates(data: _Data, kind: str) -> Rays:
     columns = data.columns
     velocity = one("radial_velocity", columns.radial_velocity)
     cnr, status, distance = one("cnr", columns.cnr), one("status", columns.status), data.distance()[:, 0]
+    height = one("height", columns.place_columns) if columns.place == "height" else None
     rows = GateRows(
         time=data.time,
         azimuth=data.azimuth,
@@ -176,10 +175,19 @@ def _rays_of_gates(data: _Data, kind: str) -> Rays:
         status=status,
         invalid=data.invalid,
         row=data.row,
+        place=height,
     )
     left_out = data.left_out()
     rows = rows.select(~left_out) if left_out.any() else rows
-    return rays_of_rows(rows, data.table.file, data.table.file_format, kind=kind, row_word=data.row_word)
+    return rays_of_rows(
+        rows,
+        data.table.file,
+        data.table.file_format,
+        kind=kind,
+        row_word=data.row_word,
+        left_out=data.counts(),
+        facts=data.table.bad.facts(),
+    )
 
 
 def _whole_rays(data: _Data, kind: str) -> Rays:
@@ -187,7 +195,7 @@ def _whole_rays(data: _Data, kind: str) -> Rays:
     columns, file_format = data.columns, data.table.file_format
     distance = data.distance()
     distance = np.where(distance > 0.0, distance, np.nan)
-    order = np.argsort(distance, axis=1, kind="stable")
+    order = _order_of_gates(distance)
 
     def in_order(name: str, headings: Sequence[Heading]) -> FloatArray | None:
         block = data.values(name, headings)
@@ -208,8 +216,18 @@ def _whole_rays(data: _Data, kind: str) -> Rays:
         status=None if status is None else status[kept],
         row=data.row[kept],
         row_word=data.row_word,
-        counts=counts_of(len(kept), invalid=int(data.invalid[kept].sum())),
+        counts=counts_of(len(kept), invalid=int(data.invalid[kept].sum()), left_out=data.counts()),
+        facts=data.table.bad.facts(),
     )
+
+
+def _order_of_gates(distance: FloatArray) -> IntArray:
+    """Return the order of the gates of each ray; that of all rays if they agree, so that a missing one stays a hole."""
+    nearest = np.where(np.isfinite(distance), distance, np.inf).min(axis=0, initial=np.inf)
+    common = np.argsort(nearest, kind="stable")
+    farthest = np.maximum.accumulate(np.where(np.isfinite(distance), distance, 0.0)[:, common], axis=1)
+    agree = not (distance[:, common] < farthest).any()
+    return np.broadcast_to(common, distance.shape) if agree else np.argsort(distance, axis=1, kind="stable")
 
 
 def _with_unit(columns: RayColumns, file_format: FileFormat, file: Path) -> FileFormat:
@@ -254,14 +272,12 @@ def _reader(name: str, **more: Any) -> Reader:
         return ray_table_rays(file, file_format, kind=name)
 
     def read(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-        found, facts = _read(file, file_format, name)
-        samples = match_rays(
-            found,
+        return match_rays(
+            rays(file, file_format),
             scan,
             angle_tolerance_deg=file_format.angle_tolerance_deg,
             range_tolerance=file_format.range_tolerance,
         )
-        return replace(samples, facts={**samples.facts, **facts})
 
     return Reader(name=name, suffixes=TABLE_SUFFIXES, read=read, rays=rays, **more)
 

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs.errors import InputError
+from bayes_rs.readers.bad_rows import BadRows
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.table import Column
 
@@ -29,6 +30,18 @@ class PlacedColumn(Column):
     """A column that says for each entry where it stands, because some lines of the file are not in it."""
 
     rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def refuse(self, is_bad: NDArray[np.bool_], message: str) -> None:
+        """Refuse or leave out the rows of bad entries; the message is about the first, without its end.
+
+        Raises
+        ------
+        InputError
+            If such rows are not to be left out.
+        """
+        if self.bad is None:
+            raise InputError(f"{message}.")
+        self.bad.refuse(self.rows[is_bad], message)
 
     def where(self, index: int) -> str:
         """Say where entry `index` stands."""
@@ -65,6 +78,13 @@ class TextLines:
         except UnicodeDecodeError:
             return line.decode("latin-1").strip("\r")
 
+    def body(self, index: IntArray) -> bytes:
+        """Return the lines `index`, and blank ones between them, as they stand."""
+        gaps = np.flatnonzero(np.diff(index) > 1)
+        begins, ends = self.start[index[np.append(0, gaps + 1)]], self.end[index[np.append(gaps, len(index) - 1)]]
+        parts = [self.raw[begin:end] for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)]
+        return b"\n".join(part.tobytes() for part in parts)
+
     def n_field(self, separator: str) -> IntArray:
         """Return how many entries each line has; none if it is blank."""
         at = np.flatnonzero(self.raw == ord(separator))
@@ -83,11 +103,34 @@ class TextRows:
     rows: IntArray
     n_cut: int
     file: Path
+    bad: BadRows | None
+
+    def kept(self) -> NDArray[np.bool_]:
+        """Say which rows have no bad entry, when all columns have been read.
+
+        Raises
+        ------
+        InputError
+            If more are left out than may be.
+        """
+        if self.bad is None or not self.bad.rows:
+            return np.ones(len(self.rows), dtype=bool)
+        self.bad.check(len(self.rows))
+        return ~np.isin(self.rows, np.fromiter(self.bad.rows, dtype=np.int64, count=len(self.bad.rows)))
+
+    def counts(self) -> dict[str, int]:
+        """Count for the report the rows that are left out, where there are any."""
+        found = {"rows_bad": len(self.bad.rows) if self.bad else 0, "rows_cut": self.n_cut}
+        return {name: count for name, count in found.items() if count}
+
+    def facts(self) -> dict[str, str]:
+        """Name for the report the first bad row, if there is one."""
+        return self.bad.facts() if self.bad else {}
 
     def column(self, name: str, index: int, heading: str | None = None) -> PlacedColumn:
         """Return one column; `heading` is what the file calls it, else its number from 1."""
         own = str(index + 1) if heading is None else heading
-        return PlacedColumn(name, own, self.frame[index], self.file, "line", 1, rows=self.rows)
+        return PlacedColumn(name, own, self.frame[index], self.file, "line", 1, self.bad, self.rows)
 
 
 def read_lines(file: Path, *, without: Sequence[bytes] = (b"\0",)) -> TextLines:
@@ -123,7 +166,14 @@ def first_line(file: Path) -> str:
 
 
 def whole_rows(
-    lines: TextLines, *, first: int, separator: str, n_field: Sequence[int], columns: Sequence[int], text: Sequence[int]
+    lines: TextLines,
+    *,
+    first: int,
+    separator: str,
+    n_field: Sequence[int],
+    columns: Sequence[int],
+    text: Sequence[int],
+    bad_rows: str | None = None,
 ) -> TextRows:
     """Read the lines from `first` on, all of which must have as many entries as the format says.
 
@@ -140,6 +190,9 @@ def whole_rows(
     columns, text : sequence of int
         The columns to read, from 0, and those of them that are kept as text. If the last entry of a line is among
         them, a last line without a newline may be cut within it, and is dropped.
+    bad_rows : str, optional
+        The option of that name: whether a line of another length, or with a bad entry, is left out. None if the caller
+        has no such option.
 
     Raises
     ------
@@ -150,31 +203,35 @@ def whole_rows(
     inked = np.flatnonzero(count > 0)
     good = np.isin(count[inked], n_field)
     wanted = " or ".join(str(number) for number in n_field)
-    if not good.any():
+    n_row = int(np.flatnonzero(good)[-1]) + 1 if good.any() else 0
+    if n_row == len(good) > 1 and max(columns) + 1 >= count[inked[-1]] and lines.raw[-1] != _NEWLINE:
+        n_row -= 1
+    if not good[:n_row].any():
         raise InputError(
             f"File {str(lines.file)!r} has no row of {wanted} entries, as its format needs, below line {first}: it is "
             "cut off, or of another format."
         )
-    n_row = int(np.flatnonzero(good)[-1]) + 1
-    if n_row == len(good) > 1 and max(columns) + 1 >= count[inked[-1]] and lines.raw[-1] != _NEWLINE:
-        n_row -= 1
-    bad = np.flatnonzero(~good[:n_row])
-    tail = len(good) - n_row
-    if len(bad) or tail > _MOST_TAIL:
-        index = int(inked[bad[0] if len(bad) else n_row])
-        raise InputError(
+    bad = None if bad_rows is None else BadRows(lines.file, "line", bad_rows == "drop")
+    long_tail = len(good) - n_row > _MOST_TAIL
+    wrong = np.flatnonzero(~good if long_tail else ~good[:n_row])
+    if len(wrong):
+        index = int(inked[wrong[0]])
+        message = (
             f"Line {first + index + 1} of file {str(lines.file)!r} has {count[index]} entries, and must have {wanted}: "
-            "correct the line, or take it out."
+            "correct the line"
         )
-    kept = inked[:n_row] + first
-    body = lines.raw[lines.start[kept[0]] : lines.end[kept[-1]]].tobytes()
+        if bad is None:
+            raise InputError(f"{message}, or take it out.")
+        bad.refuse(first + inked[wrong] + 1, message)
+    kept = inked[:n_row][good[:n_row]] + first
+    body = lines.body(kept)
     as_text: dict[Any, Any] = dict.fromkeys(text, "str")
     try:
         frame = pd.read_csv(
             io.BytesIO(body),
             sep=separator,
             header=None,
-            names=list(range(int(count[inked][:n_row].max()))),
+            names=list(range(int(count[kept - first].max()))),
             index_col=False,
             usecols=list(columns),
             dtype=as_text,
@@ -185,6 +242,6 @@ def whole_rows(
         )
     except (*UNREADABLE, pd.errors.ParserError) as error:
         raise unreadable(lines.file, error, as_what=" as a table") from error
-    if len(frame) != n_row:
+    if len(frame) != len(kept):
         raise InputError(f"File {str(lines.file)!r} has lines that are no rows of a table: check that it is text.")
-    return TextRows(frame, kept + 1, tail, lines.file)
+    return TextRows(frame, kept + 1, 0 if long_tail else len(good) - n_row, lines.file, bad)

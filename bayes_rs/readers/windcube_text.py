@@ -109,6 +109,7 @@ def windcube_text_rays(file: Path, file_format: FileFormat) -> Rays:
         n_field=[n for n in (width, width - 1, width + 1) if n > columns[-1] + 1],
         columns=columns,
         text=[0, at["position"]],
+        bad_rows=file_format.bad_rows,
     )
     file_format = _with_zone(file_format, header, file)
     text = table.column("time", 0, header.headings[0])
@@ -123,22 +124,24 @@ def windcube_text_rays(file: Path, file_format: FileFormat) -> Rays:
         invalid = invalid | is_invalid
     for index, place in enumerate(cnr_at):
         cnr[:, index], _ = numbers(table.column("cnr", place, header.headings[place]), file_format)
-    duration = np.full(len(time), _duration(header))
-    rise = np.sin(np.deg2rad(elevation))[:, np.newaxis]
+    kept = table.kept()
+    duration = np.full(int(kept.sum()), _duration(header))
+    rise = np.sin(np.deg2rad(elevation[kept]))[:, np.newaxis]
     order = np.argsort(height, kind="stable")
     return Rays(
         file=file,
         kind="windcube-text",
         file_format=file_format,
-        time=file_format.to_start(time, duration if np.isfinite(duration).all() else None),
-        direction=direction_of(azimuth, elevation),
+        time=file_format.to_start(time[kept], duration if np.isfinite(duration).all() else None),
+        direction=direction_of(azimuth[kept], elevation[kept]),
         distance=height[order] / rise,
-        radial_velocity=file_format.to_away(velocity[:, order]),
-        cnr=cnr[:, order] if cnr_at else None,
+        radial_velocity=file_format.to_away(velocity[kept][:, order]),
+        cnr=cnr[kept][:, order] if cnr_at else None,
         status=None,
-        row=table.rows,
+        row=table.rows[kept],
         row_word="line",
-        counts=counts_of(len(time), invalid=int(invalid.sum()), cut=table.n_cut),
+        counts=counts_of(len(duration), invalid=int(invalid[kept].sum()), left_out=table.counts()),
+        facts=table.facts(),
         accumulation_time=duration,
     )
 

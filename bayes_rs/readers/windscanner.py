@@ -93,7 +93,13 @@ def windscanner_rays(file: Path, file_format: FileFormat) -> Rays:
     blocks = {"distance": gates, "radial_velocity": gates + 1, "cnr": gates + 2}
     columns = [at, at + 1, at + 2, at + 3, *np.concatenate(list(blocks.values())).tolist()]
     table = whole_rows(
-        lines, first=0, separator=file_format.separator, n_field=[n_field], columns=columns, text=[at, at + 1]
+        lines,
+        first=0,
+        separator=file_format.separator,
+        n_field=[n_field],
+        columns=columns,
+        text=[at, at + 1],
+        bad_rows=file_format.bad_rows,
     )
     start, invalid = times(table.column("time", at), file_format)
     stop, _ = times(table.column("time", at + 1), file_format)
@@ -107,20 +113,22 @@ def windscanner_rays(file: Path, file_format: FileFormat) -> Rays:
         for gate, place in enumerate(places.tolist()):
             value[name][:, gate], is_invalid = numbers(table.column(name, place), file_format)
             invalid |= is_invalid
-    duration = np.where(np.isnat(stop), np.nan, (stop - start) / np.timedelta64(1, "s"))
+    kept = table.kept()
+    duration = np.where(np.isnat(stop), np.nan, (stop - start) / np.timedelta64(1, "s"))[kept]
     return Rays(
         file=file,
         kind="windscanner",
         file_format=file_format,
-        time=file_format.to_start(start, duration),
-        direction=direction_of(azimuth, elevation),
-        distance=np.where(value["distance"] > 0.0, value["distance"], np.nan),
-        radial_velocity=file_format.to_away(value["radial_velocity"]),
-        cnr=value["cnr"],
+        time=file_format.to_start(start[kept], duration),
+        direction=direction_of(azimuth[kept], elevation[kept]),
+        distance=np.where(value["distance"] > 0.0, value["distance"], np.nan)[kept],
+        radial_velocity=file_format.to_away(value["radial_velocity"])[kept],
+        cnr=value["cnr"][kept],
         status=None,
-        row=table.rows,
+        row=table.rows[kept],
         row_word="line",
-        counts=counts_of(len(table.rows), invalid=int(invalid.sum()), cut=table.n_cut),
+        counts=counts_of(int(kept.sum()), invalid=int(invalid[kept].sum()), left_out=table.counts()),
+        facts=table.facts(),
         accumulation_time=duration,
     )
 
