@@ -470,6 +470,10 @@ class TestTimes:
                 read(file, SCAN, **options)
         assert read(file, SCAN, time_format=name)["time"].values[0] == np.datetime64("2020-09-03T19:00:00.5")
 
+    def test_beside_rows_without_a_time(self, tmp_path):
+        rows = ["2020-09-03T24:00:00,0,-8.25", ",0,-8.25", "2020-09-03T23:00:00,0,-8.25"]
+        assert read(write(tmp_path, rows), SCAN, out_of_order="sort").sizes["sample"] == 2
+
     def test_a_beam_with_decimals(self, tmp_path):
         rows = [row.replace(f",{index % 4},", f",{index % 4}.0,") for index, row in enumerate(GOOD)]
         assert read(write(tmp_path, rows), SCAN)["beam"].values.tolist() == [index % 4 for index in range(60)]
