@@ -479,6 +479,23 @@ class TestTimes:
         assert read(write(tmp_path, rows), SCAN)["beam"].values.tolist() == [index % 4 for index in range(60)]
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet", "careful"])
+def test_no_column_is_of_python_objects(tmp_path, kind):
+    """An object for each entry is what makes reading slow."""
+    frame = pd.DataFrame([row.split(",") for row in GOOD], columns=HEAD.strip().split(","))
+    frame["radial_velocity"] = frame["radial_velocity"].astype(float)
+    frame["kind"] = pd.Categorical(["a", "b"] * 30)
+    frame["number"] = np.arange(60)
+    file = tmp_path / f"a.{'parquet' if kind == 'parquet' else 'csv'}"
+    frame.to_parquet(file) if kind == "parquet" else frame.to_csv(file, index=False)
+    if kind == "careful":
+        file.write_text(file.read_text().replace(",-", ", -"))
+    found = open_table(file, resolve_format(FileOptions(), None))
+    for rows in (None, 7):
+        for part, _ in found.pieces(found.headings, text=["time", "beam", "kind"], n_row=rows):
+            assert "O" not in {dtype.kind for dtype in part.dtypes if isinstance(dtype, np.dtype)}
+
+
 def test_the_fast_way_reads_only_what_is_used(tmp_path):
     """Columns that nobody needs may hold anything."""
     file = write(tmp_path, [f"{row},{index},x{index}" for index, row in enumerate(GOOD)], head=HEAD.strip() + ",a,b\n")
