@@ -15,6 +15,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from format_files import (
@@ -127,6 +128,20 @@ def netcdf(file: Path, dataset: xr.Dataset, **options) -> Path:
     return file
 
 
+def of_ranges(file: Path) -> Path:
+    frame = long_frame(SHORT)
+    pd.concat([frame.assign(Distance=distance) for distance in (100.0, 46.0, 150.0)]).to_csv(file, index=False)
+    return file
+
+
+def crooked(file: Path, encoding: str) -> Path:
+    lines = long_frame(SHORT).to_csv(index=False).splitlines()
+    lines[5:5] = ["Höhe,-,m/s,dB", lines[0], "# a note" if encoding == "utf-8" else "a note"]
+    above = ["Gerät 7"] if encoding == "cp1252" else []
+    file.write_bytes("\n".join([*above, *lines, "end"]).encode(encoding))
+    return file
+
+
 TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     "long": (lambda folder: table(folder / "a.csv"), {}),
     "wide": (lambda folder: table(folder / "a.csv", wide_frame), {}),
@@ -155,6 +170,13 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
+    "ranges": (lambda folder: of_ranges(folder / "a.csv"), {"columns": {"range": "Distance"}}),
+    "bad rows left out": (lambda folder: crooked(folder / "a.csv", "utf-8"), {"bad_rows": "drop", "comment": "#"}),
+    "utf-16": (lambda folder: crooked(folder / "a.csv", "utf-16"), {"bad_rows": "drop"}),
+    "cp1252": (
+        lambda folder: crooked(folder / "a.csv", "cp1252"),
+        {"bad_rows": "drop", "encoding": "cp1252", "skip_rows": 1},
+    ),
     "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
 }
 COMPILED: dict[str, Callable[[Path], Path]] = {
