@@ -18,7 +18,7 @@ from bayes_rs.options import described, option, options_of
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
 ALL_RANGES = "all"
 """What the option range is for all ranges that the files have."""
-DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
+DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance", "height", "gate")
 """What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
 TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
@@ -58,11 +58,11 @@ class FileOptions:
 
     ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr``, ``status`` and ``range``, the distance along
     the beam in m: of a table with several, the rows at the scan's distances are read. In files of rays it also names
-    ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
-    number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
-    files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or
-    1904), ``unix-ms``, ``unix-us`` or ``unix-ns`` (milli-, micro- or nanoseconds), or ``matlab`` (days, as datenum
-    counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
+    ``azimuth``, ``elevation``, ``distance`` (or ``range``), ``height``, ``gate``, ``sx``, ``sy`` and ``phase``. In a
+    file without headings a column is its number, from 1. ``beam_numbers``, if given, must name every beam of the files.
+    ``time_zone`` is of text and Parquet files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or
+    ``labview`` (seconds since 1970 or 1904), ``unix-ms``, ``unix-us`` or ``unix-ns`` (milli-, micro- or nanoseconds),
+    or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
     times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
     of their spacing of the focus distance, unless ``range_tolerance`` is given. With ``range`` or ``height`` the beams
     are read at each of several distances, which stay apart: each gets its own R. Every format with its source, sign,
@@ -121,6 +121,9 @@ class FileOptions:
     )
     range_tolerance: float | None = option(
         None, "Largest difference between a gate and a beam's focus distance", unit="m"
+    )
+    gate_length: float | None = option(
+        None, "Length of a range gate in files that only number their gates: gate n is at (n + ½) of it", unit="m"
     )
     range: str | float | Sequence[float] | None = option(
         None,
@@ -200,6 +203,7 @@ class FileOptions:
             ("sample_duration", "s"),
             ("angle_tolerance_deg", "degrees"),
             ("range_tolerance", "m"),
+            ("gate_length", "m"),
         ):
             put(name, _number, check=check_positive, unit=unit)
         if self.time_zone is not None:

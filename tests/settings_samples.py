@@ -49,6 +49,7 @@ SAMPLES = {
         "status_valid": one("--status-valid", 1.0),
         "angle_tolerance_deg": one("--angle-tolerance", 2.0),
         "range_tolerance": one("--range-tolerance", 3.0),
+        "gate_length": one("--gate-length", 30.0),
         "range": Sample((80.0, 120.0), ("--range", "80,120")),
         "height": Sample((40.0, 60.0, 80.5), ("--height", "40,60,80.5")),
         "phase_zero_deg": one("--phase-zero", 90.0),

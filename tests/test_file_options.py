@@ -33,6 +33,7 @@ OTHER = {
     "status_valid": 3.0,
     "angle_tolerance_deg": 0.25,
     "range_tolerance": 7.0,
+    "gate_length": 30.0,
     "range": (80.0, 120.0),
     "height": (50.0,),
     "phase_zero_deg": 90.0,

@@ -7,4 +7,5 @@ from .registry import READERS as READERS
 from .samples import Samples as Samples
 from .streaming import stream as stream
 from .survey import find_scan as find_scan
+from .toa5 import read_sonic as read_sonic
 from .zx import read_statistics as read_statistics

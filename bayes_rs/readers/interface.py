@@ -45,6 +45,9 @@ class Reader:
     own_options : callable, optional
         Options that the file itself states; None if it states none. They count after the caller's, and the scan's
         ``[file]`` table is then left aside.
+    must_say : tuple of str, optional
+        Options of `defaults` that nothing in such a file tells, so that the caller or the scan must give them before
+        velocities are read. A survey of directions needs none of them.
     """
 
     name: str
@@ -58,3 +61,4 @@ class Reader:
     pieces: Callable[[Path, Scan, FileFormat, int], Iterator[Samples]] | None = None
     ranges: Callable[[Path, FileFormat], FloatArray] | None = None
     own_options: Callable[[Path], Mapping[str, Any] | None] | None = None
+    must_say: tuple[str, ...] = ()

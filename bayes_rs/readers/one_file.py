@@ -16,6 +16,7 @@ from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.registry import READERS
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import open_table
@@ -83,6 +84,9 @@ def _with_status(samples: Samples, options: FileOptions) -> Samples:
 def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Samples]]]:
     """Unpack a file; samples and errors then name the file that the user knows."""
     suffix = plain_suffix(file)
+    reason = why_not(file)
+    if reason is not None:
+        raise InputError(reason)
     if kind == "auto" and suffix not in SUFFIXES:
         raise InputError(
             f"Unknown suffix {suffix!r} of file {str(file)!r}: it must be one of {', '.join(SUFFIXES)}, also "
@@ -103,11 +107,23 @@ def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, Fi
         raise no_range(file)
     own = reader.own_options(file) if reader.own_options is not None else None
     if own is None:
-        return reader, resolve_format(options, scan, defaults=reader.defaults)
+        file_format = resolve_format(options, scan, defaults=reader.defaults)
+        _check_said(file, reader, file_format)
+        return reader, file_format
     try:
         return reader, resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
     except InputError as error:
         raise InputError(f"File {str(file)!r} says of itself what cannot be used: {error}") from error
+
+
+def _check_said(file: Path, reader: Reader, file_format: FileFormat) -> None:
+    """Refuse a file of a format that leaves open what the caller must say, such as the sign of the velocity."""
+    for name in reader.must_say:
+        if name in file_format.from_format:
+            raise InputError(
+                f"File {str(file)!r} does not say in which direction it counts radial velocities positive, and a wrong "
+                "sign turns the wind, and with it uw and vw: give positive='away' or positive='towards' (--positive)."
+            )
 
 
 def _find(file: Path, scan: Scan, options: FileOptions) -> Reader:

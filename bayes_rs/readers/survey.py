@@ -22,6 +22,7 @@ from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.matching import directions_in_words, gates_in_words, nearest_gates
+from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.registry import READERS
 
@@ -173,6 +174,9 @@ def _wanted(
 
 def _rays(path: Path, options: FileOptions) -> Rays:
     kind = options.file_format
+    reason = why_not(path)
+    if reason is not None:
+        raise InputError(reason)
     nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
     with plain_file(path) as plain:
         try:

@@ -159,8 +159,8 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     table = open_table(file, file_format, skip=skip)
     if any(_AT_HEIGHT.fullmatch(heading) for heading in table.headings):
         raise InputError(
-            f"File {str(file)!r} holds ZX's statistics of averaging periods, not line-of-sight velocities: read it "
-            "with read_statistics; variances of beams need the 50 Hz data."
+            f"File {str(file)!r} holds ZX's statistics of averaging periods, or the winds that it fits to each turn, "
+            "not line-of-sight velocities: read it with read_statistics; variances of beams need the 50 Hz data."
         )
     if any(_SEGMENT.fullmatch(heading) for heading in table.headings):
         raise InputError(
