@@ -46,6 +46,7 @@ SAMPLES = {
         "status_valid": one("--status-valid", 1.0),
         "angle_tolerance_deg": one("--angle-tolerance", 2.0),
         "range_tolerance": one("--range-tolerance", 3.0),
+        "gates_by": one("--gates-by", "height"),
         "phase_zero_deg": one("--phase-zero", 90.0),
         "phase_turns": one("--phase-turns", "down"),
         "out_of_order": one("--out-of-order", "sort"),

@@ -30,6 +30,7 @@ OTHER = {
     "status_valid": 3.0,
     "angle_tolerance_deg": 0.25,
     "range_tolerance": 7.0,
+    "gates_by": "height",
     "phase_zero_deg": 90.0,
     "phase_turns": "down",
     "out_of_order": "sort",
