@@ -20,8 +20,9 @@ from bayes_rs.simulation.virtual import simulate
 
 SPELLINGS = {
     "m/s": [
-        "m/s", "m s-1", "m s^-1", "m s**-1", "m.s-1", "m*s^-1", "ms-1", "M/S", " m s-1 ", "meters per second", 
-        "m sec-1", "metre/second", "m/sec", "meter s-1", "m s(-1)", "m s\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT ONE}", "mps", "m / s",
+        "m/s", "m s-1", "m s^-1", "m s**-1", "m.s-1", "m*s^-1", "ms-1", "M/S", " m s-1 ", "meters per second", "mps",
+        "m sec-1", "metre/second", "m/sec", "meter s-1", "m s(-1)", "m / s",
+        "m s\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT ONE}",
     ],
     "cm/s": ["cm/s", "cm s-1", "centimeters per second"],
     "mm/s": ["mm s-1", "mm/s", "millimetres/second"],
