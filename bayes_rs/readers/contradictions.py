@@ -104,10 +104,13 @@ def _in_order(
     distance: FloatArray, rise: FloatArray, height: FloatArray, known: NDArray[np.bool_]
 ) -> FloatArray | None:
     """Return the rows in the order in which each agrees with its ray's heights; None if there is none."""
-    rows, count = np.unique(np.nan_to_num(distance, nan=-1.0), axis=0, return_counts=True)
-    if not 1 < len(rows) <= _MOST_ROWS:
+    kinds: dict[bytes, list[int]] = {}
+    for ray, row in enumerate(distance):
+        kinds.setdefault(row.tobytes(), []).append(ray)
+    if not 1 < len(kinds) <= _MOST_ROWS:
         return None
-    rows = np.where(rows == -1.0, np.nan, rows)
+    rows = distance[[rays[0] for rays in kinds.values()]]
+    count = [len(rays) for rays in kinds.values()]
     misfit = np.full((len(rise), len(rows)), np.inf)
     for index, row in enumerate(rows):
         as_all = np.broadcast_to(row, distance.shape)

@@ -118,6 +118,7 @@ def _glanced(file: Path, wanted: tuple[str, ...], marks: tuple[str, ...]) -> dic
             if about["has_values"]:
                 values = _values_from(memoryview(content)[at : at + of["n_byte"]], of["dtype"], tuple(of["shape"]))
                 at += of["n_byte"]
+                values = values.astype(str) if of["dtype"] == TEXT else values  # xarray takes long over objects
                 variables[name] = decoded(name, xr.Variable(_distinct(of["dims"]), values, attributes[name]))
         groups[path] = Group(path, tuple(about["names"]), variables, attributes, _attributes(about))
     return groups

@@ -24,7 +24,7 @@ class Group:
     path : str
         Its place in the file; ``/`` is the root.
     names : tuple of str
-        The names of all variables in it.
+        The names of all variables in it, and of dimensions without one.
     variables : dict of str to xarray.Variable
         Those in use, if the group holds rays; times are numbers.
     attributes : dict of str to dict
@@ -58,7 +58,7 @@ def decoded(name: str, raw: xr.Variable) -> xr.Variable:
     Decoding by xarray takes longer than reading a short file; what has no packing is decoded here. Integers with a fill
     value become doubles, where xarray may take singles: both hold them.
     """
-    if raw.dtype.kind == "O":
+    if raw.dtype.kind in "OU":
         return raw
     fills = [raw.attrs[key] for key in _FILLS if key in raw.attrs]
     plain = raw.dtype.kind in "iuf" and all(isinstance(fill, (np.number, int, float)) for fill in fills)

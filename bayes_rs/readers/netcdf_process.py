@@ -264,8 +264,6 @@ def _glanced(
     if space.get_simple_extent_type() == h5py.h5s.NULL or not (is_text or plain):
         raise _UnusualError
     dataset, present = h5py.Dataset(number), _attribute_names(number)
-    if "_Netcdf4Coordinates" in present:
-        raise _UnusualError
     is_scale = "CLASS" in present
     if is_scale and len(number.shape) != 1:
         raise _UnusualError

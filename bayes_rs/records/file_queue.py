@@ -109,14 +109,13 @@ class FileQueue:
         self._fill()
         return self._heap[0].first if self._heap else None
 
-    def used(self, files: Sequence[Waiting], until: np.datetime64) -> None:
-        """Note that files are used, which end at a time."""
-        begun = max(one.first for one in files)
-        self._begun = begun if self._begun is None else max(self._begun, begun)
+    def used(self, until: np.datetime64) -> None:
+        """Note that files are used, and end at a time."""
         self._reached = until if self._reached is None else max(self._reached, until)
 
     def _pop(self) -> Waiting:
         one = heapq.heappop(self._heap)
+        self._begun = one.first if self._begun is None else max(self._begun, one.first)
         self._rows -= _rows_of(one)
         return one
 
@@ -140,9 +139,10 @@ class FileQueue:
 
     def _comes_too_late(self, first: np.datetime64) -> bool:
         """Say whether a file should have had its turn already."""
-        if self._begun is None or self._reached is None:
-            return False
-        return bool(first < self._begun or first + self.wait < self._reached)
+        begun, reached = self._begun, self._reached
+        return (begun is not None and bool(first < begun)) or (
+            reached is not None and bool(first + self.wait < reached)
+        )
 
 
 def _rows_of(one: Waiting) -> int:

@@ -327,7 +327,7 @@ def _read_in_turn(
                     done = _with_bad(done, queue, asked, bar, n_byte)
                     continue
                 done, more, latest = added
-                queue.used(group, latest)
+                queue.used(latest)
                 alone = max(alone - len(group), 0)
                 done = _with(done, keys)
                 blocks += more
