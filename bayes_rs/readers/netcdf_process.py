@@ -221,10 +221,12 @@ def _glance_group(
     wanted = [name for name in request["names"] if name in names]
     with_values = any(name in request["marks"] for name in wanted)
     if with_values and not any(name in request["among"] for name in wanted):
-        wanted += [name for name in names if name not in wanted and _standard_name(group, name) in _asked(request)]
+        wanted += [
+            name for name in names if name not in wanted and _standard_name(group, name) in request["standard_names"]
+        ]
     variables = {}
     for name in wanted:
-        asked = request["attrs"] + request["more_attrs"].get(name if name in request["names"] else "", [])
+        asked = [*request["attrs"], *request["more_attrs"].get(name if name in request["names"] else "", ())]
         found = _glanced(group, name, at, asked, most, content if with_values else None)
         if found is None:
             names.remove(name)
@@ -235,11 +237,6 @@ def _glance_group(
     for raw in inner:
         own = f"{path.rstrip('/')}/{raw.decode('utf-8', 'surrogateescape')}"
         _glance_group(h5py.h5g.open(group, raw), own, (*above, address), request, most, groups, content, at)
-
-
-def _asked(request: dict[str, Any]) -> list[str]:
-    names: list[str] = request["standard_names"]
-    return names
 
 
 def _standard_name(group: h5py.h5g.GroupID, name: str) -> str:
