@@ -238,14 +238,15 @@ class TestDamagedFiles:
         assert NO_END in bad[str(folder / "hangs.nc")]
         assert found.n_record == N_RECORD
 
-    def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
+    @pytest.mark.parametrize("look", [load_netcdf, glance])
+    def test_a_reference_that_leads_nowhere(self, guard, tmp_path, look):
         """The library can take gigabytes before it says so: the next file has a new process."""
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
         load_netcdf(good)
         first = guard.process.pid
         file.write_bytes(file.read_bytes().replace(b"GCOL", b"GCOK"))
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            load_netcdf(file)
+            look(file)
         load_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid != first
 

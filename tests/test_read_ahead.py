@@ -12,10 +12,13 @@ import xarray as xr
 from ray_checks import FLOW, SIX
 from ray_files import rays_of, windcube_sweep, write_windcube
 
+from bayes_rs import Settings, save_scan
 from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.cli.records_of_files import series_of
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
-from bayes_rs.readers import ahead, netcdf_file, netcdf_guard, read
+from bayes_rs.fits import from_files
+from bayes_rs.readers import ahead, netcdf_file, netcdf_guard, read, reading
 from bayes_rs.records import record_store
 from bayes_rs.records.file_queue import FileQueue, NotInOrderError
 from bayes_rs.records.making import make_records
@@ -143,6 +146,32 @@ class TestOnce:
         with caplog.at_level(logging.WARNING):
             xr.testing.assert_identical(read(tmp_path, SIX, workers=2), right)
         assert "A process that reads files died; this one reads those that are left." in caplog.messages
+
+
+class SeenError(Exception):
+    """What a function was called with."""
+
+
+def seen(*_, workers, **__):
+    raise SeenError(workers)
+
+
+class TestTheOption:
+    def test_of_records(self, monkeypatch):
+        monkeypatch.setattr(reading, "read", seen)
+        with pytest.raises(SeenError, match="3"):
+            series_of(Settings().changed(files=["a.nc"], workers=3), SIX)
+
+    def test_of_a_fit(self, tmp_path, table, monkeypatch):
+        (tmp_path / "files").mkdir()
+        write(tmp_path / "files", table)
+        save_scan(SIX, tmp_path / "six.toml")
+        monkeypatch.setattr(from_files, "store_records", seen)
+        asked = Settings().changed(
+            files=[str(tmp_path / "files")], scan=str(tmp_path / "six.toml"), output=str(tmp_path / "out"), workers=3
+        )
+        with pytest.raises(SeenError, match="3"):
+            from_files.fit_files(asked)
 
 
 class TestQueue:

@@ -21,8 +21,8 @@ from bayes_rs.readers.compressed import UNREADABLE
 from bayes_rs.readers.one_file import read_if_whole
 from bayes_rs.readers.samples import Samples, no_sample
 
-_FEWEST = 100
-"""Files for which other processes are started."""
+_FEWEST = 500
+"""Files for which other processes are started: that takes some seconds."""
 _SHARE = 16
 """Files that a process reads at a time: handing over one costs as much as reading it."""
 _AHEAD = 2

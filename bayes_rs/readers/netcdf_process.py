@@ -66,7 +66,9 @@ def answer(request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
             _close(file)
             return {}, b""
         if request["do"] == "glance":
-            return _glance(file, request)
+            with h5py.File(file, "r") as opened:
+                opening = False
+                return _glance(opened, request, max(MOST_BYTES, MOST_RATIO * Path(file).stat().st_size))
         if file not in _open:
             if request["do"] == "look" and (fault := _fault_of_file(file)):
                 return {"fault": fault}, b""
@@ -177,16 +179,14 @@ class _UnusualError(Exception):
     """A file has what a glance does not follow: `_fault_of_file` and h5netcdf do."""
 
 
-def _glance(file: str, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+def _glance(file: h5py.File, request: dict[str, Any], most: int) -> tuple[dict[str, Any], bytes]:
     """Return what is in use of a file, by the plain HDF5 library: h5netcdf takes twenty times as long to open it."""
     groups: dict[str, Any] = {}
     content: list[bytes] = []
-    most = max(MOST_BYTES, MOST_RATIO * Path(file).stat().st_size)
-    with h5py.File(file, "r") as opened:
-        try:
-            _glance_group(h5py.h5g.open(opened.id, b"/"), "/", (), request, most, groups, content, {})
-        except _UnusualError:
-            return {"unusual": True}, b""
+    try:
+        _glance_group(h5py.h5g.open(file.id, b"/"), "/", (), request, most, groups, content, {})
+    except _UnusualError:
+        return {"unusual": True}, b""
     return {"groups": groups}, b"".join(content)
 
 

@@ -49,6 +49,8 @@ CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
 SAVE_SECONDS = 20.0
 """Reading that is lost at most, beside that of one file, when a run is interrupted."""
+_SAVE_RATIO = 20.0
+"""How much longer reading goes on than saving took."""
 _SAMPLE = ("sample",)
 _AGAIN = "the files are read again"
 _OF_PART = ("variance", "mean", "count", "flag", "wind_speed", "yaw", "record_flag", "time", "beam")
@@ -293,7 +295,7 @@ def _read_in_turn(
     silent = None if progress is None else not progress
     blocks: list[xr.Dataset] = []
     n_byte = {path: path.stat().st_size for path in left}
-    saved = time.monotonic()
+    saved, wait = time.monotonic(), SAVE_SECONDS
     alone = 0  # files that did not go together with others
     reading = FileOptions(**asked.of_files)
     with (
@@ -333,9 +335,12 @@ def _read_in_turn(
                 blocks += more
                 bar.update(sum(n_byte[one.path] for one in group))
                 break
-            if time.monotonic() - saved >= SAVE_SECONDS:
+            if time.monotonic() - saved >= wait:
+                began = time.monotonic()
                 done, blocks = _save(folder, done, blocks, asked), []
                 saved = time.monotonic()
+                # the state of a million files takes its time to write
+                wait = max(SAVE_SECONDS, _SAVE_RATIO * (saved - began)) if saved - began > 1.0 else SAVE_SECONDS
     return _save(folder, done, blocks, asked)
 
 
