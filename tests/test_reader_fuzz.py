@@ -28,7 +28,7 @@ from format_files import (
     write_spinnerlidar,
     write_zx,
 )
-from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_files import arm, cfradial, e_windlidar, rays_of, six_beam, windcube_sweep, write_cfradial2, write_windcube
 from ray_text_files import at_heights, gate_frame, ray_frame, write_molas, write_rtd, write_scn, write_windscanner
 from test_sonic_series import wind_of, write_toa5
 
@@ -36,6 +36,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.readers import netcdf_guard, read, read_sonic, read_statistics
 from bayes_rs.readers.netcdf_file import load_netcdf
+from bayes_rs.readers.netcdf_names import AWAY
 
 SIX = six_beam(45.0, step=1.0)
 ZX = load_scan("zx-tm")
@@ -207,6 +208,9 @@ COMPILED: dict[str, Callable[[Path], Path]] = {
     "classic": lambda folder: netcdf(folder / "a.nc", SHORT, format="NETCDF3_64BIT", engine="scipy"),
     "windcube": lambda folder: write_windcube(folder / "a.nc", windcube_sweep(RAYS, accumulation=1.0)),
     "e-windlidar": lambda folder: netcdf(folder / "a.nc", e_windlidar(RAYS), engine="h5netcdf"),
+    "cfradial": lambda folder: netcdf(folder / "a.nc", cfradial(RAYS), engine="h5netcdf"),
+    "cfradial 2": lambda folder: write_cfradial2(folder / "a.nc", cfradial(RAYS, velocity="v", standard_name=AWAY)),
+    "arm": lambda folder: netcdf(folder / "a.cdf", arm(RAYS), format="NETCDF3_CLASSIC", engine="scipy"),
     "old": lambda folder: old_hdf5(folder / "a.nc"),
     "zst": lambda folder: packed(folder / "a.csv", ".zst"),
 }

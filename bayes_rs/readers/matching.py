@@ -109,6 +109,7 @@ def match_rays(
         row=rays.row[chosen],
         row_word=rays.row_word,
         counts=counts,
+        facts=rays.facts,
     )
 
 
