@@ -26,6 +26,7 @@ TIME_FORMATS = ("unix", "unix-ms", "unix-us", "unix-ns", "labview", "matlab")
 VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0, "cm/s": 0.01, "mm/s": 0.001}
 VELOCITY_LIMIT = 90.0
 """m/s; faster than any wind near the ground, and slower than the numbers that mark a missing entry, from 99 on."""
+GATES_BY = ("distance", "height")
 DECIMALS = (".", ",")
 TURNS = ("up", "down")
 OUT_OF_ORDER = ("error", "sort")
@@ -137,6 +138,9 @@ class FileOptions:
         unit="m",
         metavar="M,M,...",
     )
+    gates_by: str | None = option(
+        None, "What to believe where a file's distances of gates contradict their heights", choices=GATES_BY
+    )
     phase_zero_deg: float | None = option(
         None, "Where on its cone a ZX's phase is zero: 0 is sideways (y), 90 up", unit="degrees", flag="--phase-zero"
     )
@@ -182,6 +186,7 @@ class FileOptions:
             ("velocity_unit", tuple(VELOCITY_UNITS)),
             ("time_stamp", tuple(TIME_STAMPS)),
             ("decimal", DECIMALS),
+            ("gates_by", GATES_BY),
             ("phase_turns", TURNS),
             ("out_of_order", OUT_OF_ORDER),
             ("bad_rows", BAD_ROWS),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -49,6 +52,17 @@ def note_processor(kinds: list[str], kind: str) -> bool:
         )
     kinds.append(kind)
     return True
+
+
+def end_with(parent: int) -> None:
+    """End this process when the one that started it is gone: killed, it could not say goodbye."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

@@ -58,7 +58,7 @@ def stated_times(text: pd.Series[Any], pattern: str | None = None) -> pd.Series[
     ):
         if late.any():
             other = text.str.replace(words, instead, regex=True)
-            changed = _parsed(other.where(late & (other != text)), pattern)
+            changed = _parsed(other.where(late & (other != text).fillna(value=False).astype(bool)), pattern)
             changed = changed.where((changed > _FIRST) & (changed < _LAST)) + shift
             if changed.notna().any():
                 found = found.astype("datetime64[us, UTC]") if found.dt.unit != "ns" else found

@@ -52,6 +52,7 @@ SAMPLES = {
         "gate_length": one("--gate-length", 30.0),
         "range": Sample((80.0, 120.0), ("--range", "80,120")),
         "height": Sample((40.0, 60.0, 80.5), ("--height", "40,60,80.5")),
+        "gates_by": one("--gates-by", "height"),
         "phase_zero_deg": one("--phase-zero", 90.0),
         "phase_turns": one("--phase-turns", "down"),
         "out_of_order": one("--out-of-order", "sort"),

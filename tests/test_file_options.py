@@ -36,6 +36,7 @@ OTHER = {
     "gate_length": 30.0,
     "range": (80.0, 120.0),
     "height": (50.0,),
+    "gates_by": "height",
     "phase_zero_deg": 90.0,
     "phase_turns": "down",
     "out_of_order": "sort",

@@ -24,6 +24,7 @@ PUBLIC = [
     "Nuisances",
     "Prior",
     "QualityRules",
+    "RangedFit",
     "STRESSES",
     "Scan",
     "Settings",

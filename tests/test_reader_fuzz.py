@@ -28,7 +28,7 @@ from format_files import (
     write_spinnerlidar,
     write_zx,
 )
-from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_files import arm, cfradial, e_windlidar, rays_of, six_beam, windcube_sweep, write_cfradial2, write_windcube
 from ray_text_files import at_heights, gate_frame, ray_frame, write_molas, write_rtd, write_scn, write_windscanner
 from test_sonic_series import wind_of, write_toa5
 
@@ -36,6 +36,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.readers import netcdf_guard, read, read_sonic, read_statistics
 from bayes_rs.readers.netcdf_file import load_netcdf
+from bayes_rs.readers.netcdf_names import AWAY
 
 SIX = six_beam(45.0, step=1.0)
 ZX = load_scan("zx-tm")
@@ -137,6 +138,20 @@ def netcdf(file: Path, dataset: xr.Dataset, **options) -> Path:
     return file
 
 
+def of_ranges(file: Path) -> Path:
+    frame = long_frame(SHORT)
+    pd.concat([frame.assign(Distance=distance) for distance in (100.0, 46.0, 150.0)]).to_csv(file, index=False)
+    return file
+
+
+def crooked(file: Path, encoding: str) -> Path:
+    lines = long_frame(SHORT).to_csv(index=False).splitlines()
+    lines[5:5] = ["Höhe,-,m/s,dB", lines[0], "# a note" if encoding == "utf-8" else "a note"]
+    above = ["Gerät 7"] if encoding == "cp1252" else []
+    file.write_bytes("\n".join([*above, *lines, "end"]).encode(encoding))
+    return file
+
+
 TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     "long": (lambda folder: table(folder / "a.csv"), {}),
     "wide": (lambda folder: table(folder / "a.csv", wide_frame), {}),
@@ -178,6 +193,13 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
     ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
+    "ranges": (lambda folder: of_ranges(folder / "a.csv"), {"columns": {"range": "Distance"}}),
+    "bad rows left out": (lambda folder: crooked(folder / "a.csv", "utf-8"), {"bad_rows": "drop", "comment": "#"}),
+    "utf-16": (lambda folder: crooked(folder / "a.csv", "utf-16"), {"bad_rows": "drop"}),
+    "cp1252": (
+        lambda folder: crooked(folder / "a.csv", "cp1252"),
+        {"bad_rows": "drop", "encoding": "cp1252", "skip_rows": 1},
+    ),
     "sonic": (lambda folder: write_toa5(folder / "a.dat", wind_of(60)), {"sonic": True}),
     "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
 }
@@ -186,6 +208,9 @@ COMPILED: dict[str, Callable[[Path], Path]] = {
     "classic": lambda folder: netcdf(folder / "a.nc", SHORT, format="NETCDF3_64BIT", engine="scipy"),
     "windcube": lambda folder: write_windcube(folder / "a.nc", windcube_sweep(RAYS, accumulation=1.0)),
     "e-windlidar": lambda folder: netcdf(folder / "a.nc", e_windlidar(RAYS), engine="h5netcdf"),
+    "cfradial": lambda folder: netcdf(folder / "a.nc", cfradial(RAYS), engine="h5netcdf"),
+    "cfradial 2": lambda folder: write_cfradial2(folder / "a.nc", cfradial(RAYS, velocity="v", standard_name=AWAY)),
+    "arm": lambda folder: netcdf(folder / "a.cdf", arm(RAYS), format="NETCDF3_CLASSIC", engine="scipy"),
     "old": lambda folder: old_hdf5(folder / "a.nc"),
     "zst": lambda folder: packed(folder / "a.csv", ".zst"),
 }

@@ -251,7 +251,10 @@ class TestOptions:
         np.testing.assert_allclose(series["radial_velocity"], -dataset["radial_velocity"] / 3.6)
         dataset["radial_velocity"].attrs["units"] = "furlong"
         dataset.to_netcdf(tmp_path / "bad.nc")
-        with pytest.raises(InputError, match="Unknown units 'furlong' of radial_velocity"):
+        with pytest.raises(
+            InputError,
+            match=r"'radial_velocity' in file .*bad.nc' has the units 'furlong': a velocity must be in m/s, km/h",
+        ):
             read(tmp_path / "bad.nc", SCAN)
 
 

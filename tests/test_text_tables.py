@@ -470,9 +470,30 @@ class TestTimes:
                 read(file, SCAN, **options)
         assert read(file, SCAN, time_format=name)["time"].values[0] == np.datetime64("2020-09-03T19:00:00.5")
 
+    def test_beside_rows_without_a_time(self, tmp_path):
+        rows = ["2020-09-03T24:00:00,0,-8.25", ",0,-8.25", "2020-09-03T23:00:00,0,-8.25"]
+        assert read(write(tmp_path, rows), SCAN, out_of_order="sort").sizes["sample"] == 2
+
     def test_a_beam_with_decimals(self, tmp_path):
         rows = [row.replace(f",{index % 4},", f",{index % 4}.0,") for index, row in enumerate(GOOD)]
         assert read(write(tmp_path, rows), SCAN)["beam"].values.tolist() == [index % 4 for index in range(60)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "careful"])
+def test_no_column_is_of_python_objects(tmp_path, kind):
+    """An object for each entry is what makes reading slow."""
+    frame = pd.DataFrame([row.split(",") for row in GOOD], columns=HEAD.strip().split(","))
+    frame["radial_velocity"] = frame["radial_velocity"].astype(float)
+    frame["kind"] = pd.Categorical(["a", "b"] * 30)
+    frame["number"] = np.arange(60)
+    file = tmp_path / f"a.{'parquet' if kind == 'parquet' else 'csv'}"
+    frame.to_parquet(file) if kind == "parquet" else frame.to_csv(file, index=False)
+    if kind == "careful":
+        file.write_text(file.read_text().replace(",-", ", -"))
+    found = open_table(file, resolve_format(FileOptions(), None))
+    for rows in (None, 7):
+        for part, _ in found.pieces(found.headings, text=["time", "beam", "kind"], n_row=rows):
+            assert "O" not in {dtype.kind for dtype in part.dtypes if isinstance(dtype, np.dtype)}
 
 
 def test_the_fast_way_reads_only_what_is_used(tmp_path):

@@ -47,7 +47,7 @@ def scans() -> None:
 
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
-@settings_options("scan", "files", "records", "quality")
+@settings_options("scan", "files", "records", "quality", "output", only={"output": ("workers",)})
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:

@@ -147,6 +147,7 @@ def _read(
         folder,
         reading=settings.files,
         quality=settings.quality,
+        workers=settings.output.workers,
         progress=progress,
         say=say,
         **options,

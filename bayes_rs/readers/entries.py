@@ -99,11 +99,14 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     if quick is not None:
         return quick, np.zeros(len(raw), dtype=bool)
     text = _as_text(raw, file_format)
+    if file_format.time_format in _EPOCHS:
+        count, _ = text_as_numbers(text)
+        is_invalid = file_format.is_invalid(count)
+        known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
+        return _counted(count, known, column, file_format.time_format), is_invalid
     is_number = pd.to_numeric(text.mask(text.str.contains(":", regex=False)), errors="coerce")
     is_invalid = file_format.is_invalid(is_number.to_numpy(dtype=np.float64, na_value=np.nan))
     known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
-    if file_format.time_format in _EPOCHS:
-        return _counted(is_number, known, column, file_format.time_format), is_invalid
     pattern = file_format.time_format
     if pattern is not None and file_format.decimal == ",":  # as in the entries, which have points by now
         pattern = pattern.replace(",", ".")
@@ -173,10 +176,9 @@ def _quick_times(column: Column, file_format: FileFormat) -> NDArray[np.datetime
     return time if file_format.time_zone == "UTC" else _to_utc(pd.Series(time), column, file_format)
 
 
-def _counted(number: pd.Series[Any], known: BoolArray, column: Column, time_format: str) -> NDArray[np.datetime64]:
+def _counted(count: FloatArray, known: BoolArray, column: Column, time_format: str) -> NDArray[np.datetime64]:
     """Return times that are counted from an epoch, to a microsecond; float64 resolves no more."""
     epoch, unit = _EPOCHS[time_format]
-    count = number.to_numpy(dtype=np.float64, na_value=np.nan)
     seconds = unit * (count - (_MATLAB_EPOCH if time_format == "matlab" else 0.0))
     bad = known & ~(np.abs(seconds) < 9e9)
     if bad.any():

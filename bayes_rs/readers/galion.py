@@ -13,8 +13,8 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_groups import GateRows, rays_of_rows
-from bayes_rs.readers.ray_times import times_of_rays
 from bayes_rs.readers.rays import Rays
+from bayes_rs.readers.row_times import times_of_rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.text_lines import TextLines, read_lines, whole_rows
 

@@ -12,27 +12,21 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, in_short
-from bayes_rs.file_options import VELOCITY_UNITS
 from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import match_ranges, no_range
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.netcdf_file import SUFFIXES, header_of, open_netcdf
+from bayes_rs.readers.netcdf_file import SUFFIXES, glance, open_netcdf
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
+from bayes_rs.readers.units import as_text, with_velocity_unit
 from bayes_rs.stated_time import says_since
 
 RECORD_DIMS = ("record", "beam")
 """Dimensions of the variances in a file of records, which is no file of radial velocities."""
-_UNITS = {
-    **{unit: unit for unit in VELOCITY_UNITS},
-    **{f"{length} {second}": f"{length}/s" for length in ("m", "cm", "mm") for second in ("s-1", "s^-1")},
-    "km h-1": "km/h",
-    "knots": "knot",
-}
 
 
 def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -45,8 +39,11 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     """
     with open_netcdf(file) as dataset:
         column = _flatten(dataset, file, file_format)
+        velocity = column["radial_velocity"].heading
+        stated = dataset[velocity].attrs.get("units")
     if isinstance(scan, RangedScan) and "range" not in column:
         raise no_range(file)
+    file_format = with_velocity_unit(file_format, stated, name=velocity, file=file)
     time, invalid = times(column["time"], replace(file_format, time_zone="UTC"))
     beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
     invalid = invalid | invalid_beam
@@ -110,32 +107,20 @@ def ranges_of_netcdf(file: Path, file_format: FileFormat) -> FloatArray:
 
 def own_options(file: Path) -> dict[str, Any] | None:
     """Return what a file says about sign, unit and status, if it says the sign: then no preset speaks for it."""
-    header = header_of(file)
-    attributes = header.variables.get("radial_velocity", {})
+    root = glance(file)["/"]
+    attributes = root.attributes.get("radial_velocity", {})
     if "positive" not in attributes:
         return None
-    options: dict[str, Any] = {"positive": _as_text(attributes["positive"])}
-    if "units" in attributes:
-        unit = _as_text(attributes["units"])
-        if unit not in _UNITS:
-            raise InputError(
-                f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
-                f"they must be one of {', '.join(_UNITS)}; correct the attribute."
-            )
-        options["velocity_unit"] = _UNITS[unit]
-    if "status_valid" in header.attrs:
+    options: dict[str, Any] = {"positive": as_text(attributes["positive"])}
+    if "status_valid" in root.attrs:
         try:
-            options["status_valid"] = float(header.attrs["status_valid"])
+            options["status_valid"] = float(root.attrs["status_valid"])
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"Invalid status_valid {in_short(header.attrs['status_valid'])} in file {str(file)!r}: it must be a "
+                f"Invalid status_valid {in_short(root.attrs['status_valid'])} in file {str(file)!r}: it must be a "
                 "number; correct the attribute."
             ) from error
     return options
-
-
-def _as_text(value: object) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:

@@ -53,6 +53,16 @@ def read_file(file: Path, scan: Scan, options: FileOptions) -> Samples:
         return samples
 
 
+def read_if_whole(file: Path, scan: Scan, options: FileOptions) -> Samples | None:
+    """Read one file whole, as `read_file` does, if its format cannot be read in pieces; else return None."""
+    with _plain(file, options.file_format) as (plain, named):
+        reader, file_format = _reader_of(plain, scan, options)
+        if reader.pieces is not None:
+            return None
+        (samples,) = believed([named(_with_status(reader.read(plain, scan, file_format), options))])
+        return samples
+
+
 def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Iterator[Samples]:
     """Read one file about `n_row` rows at a time, or whole where its format cannot be read in pieces."""
     with _plain(file, options.file_format) as (plain, named):

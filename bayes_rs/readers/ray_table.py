@@ -22,8 +22,8 @@ from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.ray_groups import GateRows, check_angles, counts_of, rays_of_rows
 from bayes_rs.readers.ray_headings import RayColumns, find_ray_columns, looks_like_rays
-from bayes_rs.readers.ray_times import times_of_rays
 from bayes_rs.readers.rays import Rays, direction_of
+from bayes_rs.readers.row_times import times_of_rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 

@@ -24,6 +24,8 @@ READERS: Registry[Reader] = Registry(
         "wide": "bayes_rs.readers.wide_table:READER",
         "windcube": "bayes_rs.readers.windcube:READER",
         "e-windlidar": "bayes_rs.readers.e_windlidar:READER",
+        "arm": "bayes_rs.readers.arm:READER",
+        "cfradial": "bayes_rs.readers.cfradial:READER",
         "netcdf": "bayes_rs.readers.netcdf:READER",
     }
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,21 @@ def stream(
     return merged.series(found.paths, window)
 
 
+def series_of_read(
+    parts: Sequence[Samples], scan: Scan, options: FileOptions, *, chunk_rows: int
+) -> Iterator[xr.Dataset]:
+    """Give the series of files that were read already, as `stream` gives them; at once if none overlaps the next."""
+    times = [(part.time.min(), part.time.max()) for part in parts]
+    if all(one[1] < other[0] for one, other in pairwise(times)):
+        for part in parts:
+            if part.file_format.out_of_order == "error":
+                check_order(part)
+        yield with_ranges(join_samples(parts, scan), scan)
+        return
+    merged = _Merge(scan, options, chunk_rows, {}, kept={part.file: part for part in parts})
+    yield from merged.series([part.file for part in parts], None)
+
+
 @dataclass
 class _Source:
     """One file that is being read: its pieces, and how far it has come."""
@@ -164,6 +180,9 @@ class _Merge:
             return [(_EVER, paths[0])]
         firsts = []
         for file in paths:
+            if file in self.kept:
+                firsts.append((self.kept[file].time.min() - HOLD_BACK, file))
+                continue
             try:
                 pieces = read_pieces(file, self.scan, self.options, _PEEK)
                 part = next(pieces)

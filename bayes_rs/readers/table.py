@@ -239,8 +239,8 @@ def _frame(part: pa.Table) -> pd.DataFrame:
     """Return columns as pandas has them: text as strings of Arrow's, numbers as float64 or as they are."""
     columns: dict[str, Any] = {}
     for name, column in zip(part.column_names, part.columns, strict=True):
-        if pa.types.is_string(column.type):
-            columns[name] = pd.array(column, dtype=pd.StringDtype("pyarrow"))
+        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+            columns[name] = pd.array(column.cast(pa.string()), dtype=pd.StringDtype("pyarrow"))
         else:
             columns[name] = column.to_pandas()
     return pd.DataFrame(columns, copy=False)

@@ -117,6 +117,7 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
+    lines += _describe_reordered([file["name"] for file in report["files"] if file.get("range_rows_reordered")])
     skipped = report.get("files_skipped", [])
     lines += [f"skipped {file['name']}: {file['reason']}" for file in skipped[:_MOST_FILES]]
     lines += [f"skipped {len(skipped) - _MOST_FILES} more files"] if len(skipped) > _MOST_FILES else []
@@ -132,6 +133,18 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
         differ = report["duplicates_that_differ"]
         line += f", {differ} of which differ: their samples count as missing" if differ else ""
     return [*lines, line]
+
+
+def _describe_reordered(names: Sequence[str]) -> list[str]:
+    """Say that files had the ranges of other rays beside their rays."""
+    if not names:
+        return []
+    number, has, its = ("1 file", "has", "its") if len(names) == 1 else (f"{len(names)} files", "have", "their")
+    line = (
+        f"{number} (the first: {names[0]}) {has} the rows of {its} ranges in another order than {its} rays, as the "
+        "heights of the gates say: the ranges are taken in the order in which they agree (gates_by)"
+    )
+    return [line]
 
 
 def _alike(files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
