@@ -371,7 +371,7 @@ class TestTablesOfRays:
         with pytest.raises(InputError, match=r"Column 'vr \[cm s-1\]' .* says cm/s, and the option velocity_unit km/h"):
             read(tmp_path / "a.csv", SIX, positive="away", velocity_unit="km/h")
 
-    @pytest.mark.parametrize("name", ["az [gon]", "range [ft]", "vr [furlong]"])
+    @pytest.mark.parametrize("name", ["az [gon]", "range [furlong]", "vr [furlong]"])
     def test_unknown_units(self, tmp_path, name):
         own = {"az": "azimuth", "range": "distance", "vr": "velocity"}[name.split()[0]]
         names = {"velocity": "vr", own: name}
@@ -395,6 +395,12 @@ class TestTablesOfRays:
         series = read(tmp_path / "a.csv", SIX, positive="away", **options)
         assert_read_back(series)
         assert "cnr" in series
+
+    def test_gates_in_two_units_are_refused(self, tmp_path):
+        frame = gate_frame(RAYS, velocity="rws_{} [m/s]", distance="range_{}")
+        frame.rename(columns={"rws_2 [m/s]": "rws_2 [km/h]"}).to_csv(tmp_path / "a.csv", index=False)
+        with pytest.raises(InputError, match=r"several columns that may be the radial velocity .* 'rws_2 \[km/h\]'"):
+            read(tmp_path / "a.csv", SIX, positive="away")
 
     @pytest.mark.parametrize(
         ("velocity", "options"),

@@ -175,7 +175,8 @@ def _columns(table: Table, headings: Iterable[Heading], name: str) -> tuple[Head
     if len(found) < 2:
         return tuple(found)
     numbers = [heading.number for heading in found if heading.number is not None]
-    if len(numbers) < len(found) or len(set(numbers)) < len(found) or len({heading.words for heading in found}) > 1:
+    alike = {(heading.words, heading.unit) for heading in found}
+    if len(numbers) < len(found) or len(set(numbers)) < len(found) or len(alike) > 1:
         raise _ambiguous(table, name, found)
     return tuple(sorted(found, key=lambda heading: heading.number or 0.0))
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,19 +25,12 @@ from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.row_times import times_of_rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
+from bayes_rs.readers.units import factor_to_degrees, factor_to_metres, velocity_unit_of
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-_DEGREES = ("", "deg", "degree", "degrees", "°", "º", "\ufffd")
-_RADIANS = ("rad", "radian", "radians")
-_METRES = {"": 1.0, "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1000.0}
-_SPEEDS = {
-    "m/s": "m/s", "ms-1": "m/s", "m.s-1": "m/s", "mps": "m/s", "m/sec": "m/s",
-    "km/h": "km/h", "kmh-1": "km/h", "kph": "km/h",
-    "knot": "knot", "knots": "knot", "kn": "knot", "kt": "knot", "kts": "knot",
-    "cm/s": "cm/s", "cms-1": "cm/s", "mm/s": "mm/s", "mms-1": "mm/s",
-}  # fmt: skip
+_DEGREE_SIGNS = ("º", "\ufffd")  # also as bytes of another encoding
 _MOLAS = {"Azimuth(deg)", "Elevation(deg)", "Distance(m)", "RWS(m/s)", "CNR(dB)", "Craft RWS(m/s)"}
 
 
@@ -125,10 +117,8 @@ class _Data:
                     "columns={'distance': 'its heading'}."
                 )
             return (values + 0.5) * self.table.file_format.gate_length
-        for heading in columns.place_columns:
-            if heading.unit not in _METRES:
-                raise unknown_unit(file, heading, "m or km")
-        values = values * (_METRES[columns.place_columns[0].unit] if columns.place_columns else 1.0)
+        for heading in columns.place_columns[:1]:
+            values = values * _factor(factor_to_metres, heading, file, "m, km, cm, mm or feet")
         if columns.place == "height":
             rise = np.sin(np.deg2rad(self.elevation))[:, np.newaxis]
             return values / np.where(rise > 0.0, rise, np.nan)
@@ -144,11 +134,9 @@ class _Data:
         return self.table.bad.counts(self.table.first_row, len(self.row))
 
     def _angle(self, name: str, heading: Heading) -> FloatArray:
-        if heading.unit not in (*_DEGREES, *_RADIANS):
-            raise unknown_unit(self.table.file, heading, "degrees or radians")
+        factor = _factor(factor_to_degrees, heading, self.table.file, "degrees or radians")
         block = self.values(name, [heading])
-        angle = np.zeros(len(self.row)) if block is None else block[:, 0]
-        angle = np.rad2deg(angle) if heading.unit in _RADIANS else angle
+        angle = np.zeros(len(self.row)) if block is None else factor * block[:, 0]
         check = (angle, np.zeros_like(angle)) if name == "azimuth" else (np.zeros_like(angle), angle)
         check_angles(*check, self.row, self.row_word, self.table.file)
         return angle
@@ -230,12 +218,20 @@ def _order_of_gates(distance: FloatArray) -> IntArray:
     return np.broadcast_to(common, distance.shape) if agree else np.argsort(distance, axis=1, kind="stable")
 
 
+def _factor(convert: Callable[..., float], heading: Heading, file: Path, allowed: str) -> float:
+    """Return by what a column must be multiplied to be in degrees, or in m."""
+    try:
+        return convert("deg" if heading.unit in _DEGREE_SIGNS else heading.unit, name=heading.own, file=file)
+    except InputError:
+        raise unknown_unit(file, heading, allowed) from None
+
+
 def _with_unit(columns: RayColumns, file_format: FileFormat, file: Path) -> FileFormat:
     """Return the options with the velocity's unit of its heading, if nobody gave another."""
     heading = columns.radial_velocity[0]
     if not heading.unit:
         return file_format
-    unit = _SPEEDS.get(re.sub(r"\s|\^|\*|⁻¹", "", heading.unit.replace("⁻¹", "-1")))
+    unit = velocity_unit_of(heading.unit)
     if unit is None:
         raise unknown_unit(file, heading, ", ".join(VELOCITY_UNITS))
     if "velocity_unit" in file_format.from_format:
