@@ -350,6 +350,42 @@ class TestTablesOfRays:
         frame.to_csv(tmp_path / "a.csv", index=False)
         assert_read_back(read(tmp_path / "a.csv", SIX, positive="away"))
 
+    @pytest.mark.parametrize("above", [0.0, 345.6])
+    def test_heights_beside_distances_must_agree(self, tmp_path, above):
+        """Law: heights above the lidar, or by one number above something else, change nothing."""
+        frame = ray_frame(at_heights(RAYS), velocity="rws", distance="Range")
+        frame["Height"] = np.tile(HEIGHTS, len(RAYS.seconds)) + above
+        file = tmp_path / "a.csv"
+        frame.to_csv(file, index=False)
+        assert_read_back(read(file, SIX, positive="away"))
+        frame.loc[21, "Height"] += 30.0
+        frame.to_csv(file, index=False)
+        message = r"Distances and heights .* contradict each other: in the ray of line 22, at an elevation of 90"
+        with pytest.raises(InputError, match=message) as caught:
+            read(file, SIX, positive="away")
+        assert f"has the distance 100 m and the height {130 + above:g} m; say which" in str(caught.value)
+        assert_read_back(read(file, SIX, positive="away", gates_by="distance"))
+
+    def test_heights_are_believed_when_asked(self, tmp_path):
+        frame = ray_frame(at_heights(RAYS), velocity="rws", distance="Range")
+        frame["Height"] = np.tile(HEIGHTS, len(RAYS.seconds))
+        frame["Range"] += 500.0 * (np.arange(len(frame)) % 7)
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert_read_back(read(tmp_path / "a.csv", SIX, positive="away", gates_by="height"))
+
+    def test_heights_beside_distances_in_columns_for_each_gate(self, tmp_path):
+        table = at_heights(RAYS)
+        frame = gate_frame(table, velocity="rws_{}", distance="range_{}")
+        frame["altitude"] = 12.5  # of the place: no gate's
+        for gate, height in enumerate(HEIGHTS):
+            frame[f"height_{gate}"] = height + 2.0
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert_read_back(read(tmp_path / "a.csv", SIX, positive="away"))
+        frame["height_1"] += 40.0
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        with pytest.raises(InputError, match=r"contradict each other: in the ray of line \d+, at an elevation"):
+            read(tmp_path / "a.csv", SIX, positive="away")
+
     def test_gates_have_a_length(self, tmp_path):
         series = series_of(GALION, n_scan=20)
         frame = ray_frame(rays_of(series, GALION, rough=False), velocity="rws", distance="gate")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.readers.contradictions import agree
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.rays import Rays, direction_of
 
@@ -44,6 +45,8 @@ class GateRows:
     place : ndarray, shape (n_row,), optional
         What tells the gates of a ray apart, in the order of their distances, such as a height; the distance if not
         given.
+    height : ndarray, shape (n_row,), optional
+        m, where the file says heights beside distances.
     """
 
     time: NDArray[np.datetime64]
@@ -56,6 +59,7 @@ class GateRows:
     invalid: NDArray[np.bool_]
     row: IntArray
     place: FloatArray | None = None
+    height: FloatArray | None = None
 
     def select(self, kept: NDArray[np.bool_]) -> GateRows:
         """Return some of the rows."""
@@ -100,7 +104,8 @@ def rays_of_rows(
     Raises
     ------
     InputError
-        If an angle is none, or the numbers of gates differ so much that the rows are no rays.
+        If an angle is none, the numbers of gates differ so much that the rows are no rays, or distances and heights
+        contradict each other.
     """
     check_angles(rows.azimuth, rows.elevation, rows.row, row_word, file)
     known = np.isfinite(rows.distance) & (rows.distance > 0.0)
@@ -125,6 +130,10 @@ def rays_of_rows(
         filled[ray, gate] = values
         return filled
 
+    if rows.height is not None:
+        check_heights(
+            spread(rows.distance), rows.elevation[first], spread(rows.height), rows.row[first], row_word, file
+        )
     invalid = np.zeros(n_ray, dtype=bool)
     invalid[ray[rows.invalid]] = True
     duration = None if accumulation_time is None else accumulation_time[first]
@@ -169,6 +178,29 @@ def check_angles(azimuth: FloatArray, elevation: FloatArray, row: IntArray, row_
                 "angle in degrees; if the number marks a missing entry, give it as the option invalid "
                 f"({angle[index]:g})."
             )
+
+
+def check_heights(
+    distance: FloatArray, elevation: FloatArray, height: FloatArray, row: IntArray, row_word: str, file: Path
+) -> None:
+    """Refuse distances of gates, shape (n_ray, n_gate), that contradict their heights.
+
+    Raises
+    ------
+    InputError
+        If they do. One number may lie between all of them: heights above the ground or the sea agree.
+    """
+    agreed = agree(distance, elevation, height)
+    if agreed.distance is None or agreed.reordered:
+        rise = np.sin(np.deg2rad(elevation))[:, np.newaxis]
+        off = np.abs(distance * rise - height)
+        ray, gate = np.unravel_index(int(np.nanargmax(off)), off.shape)
+        raise InputError(
+            f"Distances and heights of the gates in file {str(file)!r} contradict each other: in the ray of {row_word} "
+            f"{row[ray]}, at an elevation of {elevation[ray]:g} degrees, a gate has the distance "
+            f"{distance[ray, gate]:g} m and the height {height[ray, gate]:g} m; say which to believe with "
+            "gates_by='distance' or gates_by='height' (--gates-by)."
+        )
 
 
 def ray_and_gate(

@@ -53,6 +53,8 @@ class RayColumns:
         What says where the gates are: ``distance``, ``height`` or ``gate``.
     place_columns : tuple of Heading
         Its columns, one or one for each gate; empty if the numbers in the headings are it.
+    heights : tuple of Heading
+        Columns of heights beside those of distances, which they must agree with.
     per_gate : bool
         Whether a row is a whole ray, with a column for each gate.
     """
@@ -65,6 +67,7 @@ class RayColumns:
     status: tuple[Heading, ...]
     place: str
     place_columns: tuple[Heading, ...]
+    heights: tuple[Heading, ...]
     per_gate: bool
 
 
@@ -104,6 +107,7 @@ def find_ray_columns(table: Table) -> RayColumns:
         status=others["status"],
         place=place,
         place_columns=columns,
+        heights=_heights(table, headings, velocity, per_gate=per_gate) if place == "distance" and columns else (),
         per_gate=per_gate,
     )
 
@@ -190,14 +194,14 @@ def _beside(found: tuple[Heading, ...], velocity: tuple[Heading, ...], per_gate:
 def _place(
     table: Table, headings: Iterable[Heading], velocity: tuple[Heading, ...], *, per_gate: bool
 ) -> tuple[str, tuple[Heading, ...]]:
-    for name in _PLACES:
+    for name in ("height", *_PLACES) if table.file_format.gates_by == "height" else _PLACES:
         found = _columns(table, headings, name)
         if found and _beside(found, velocity, per_gate):
             return name, found
-        if found and per_gate and len(found) == 1 and found[0].number is None:
+        if found and per_gate and len(found) == 1 and found[0].number is None and name == "distance":
             raise InputError(
                 f"File {str(table.file)!r} has a column of velocities for each gate, and one column {found[0].own!r} "
-                f"for the {name} of all: give one for each gate, or take it out."
+                "for the distance of all: give one for each gate, or take it out."
             )
     words = take_apart(velocity[0].own)
     if per_gate and all(heading.metres for heading in velocity):
@@ -212,6 +216,17 @@ def _place(
             "distance=heading) or columns={'height': 'heading'}."
         )
     raise _missing(table, "distance")
+
+
+def _heights(
+    table: Table, headings: Iterable[Heading], velocity: tuple[Heading, ...], *, per_gate: bool
+) -> tuple[Heading, ...]:
+    """Return the columns of heights that stand beside distances; none if nothing is to be compared."""
+    of_gates = [
+        heading for heading in _candidates(table, headings, "height") if per_gate == (heading.number is not None)
+    ]
+    found = tuple(sorted(of_gates, key=lambda heading: heading.number or 0.0))
+    return _beside(found, velocity, per_gate) if table.file_format.gates_by is None else ()
 
 
 def _missing(table: Table, name: str) -> InputError:

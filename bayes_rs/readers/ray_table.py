@@ -19,7 +19,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.headings import Heading, unknown_unit
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
-from bayes_rs.readers.ray_groups import GateRows, check_angles, counts_of, rays_of_rows
+from bayes_rs.readers.ray_groups import GateRows, check_angles, check_heights, counts_of, rays_of_rows
 from bayes_rs.readers.ray_headings import RayColumns, find_ray_columns, looks_like_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.row_times import times_of_rays
@@ -78,7 +78,7 @@ class _Data:
     def __init__(self, table: Table, columns: RayColumns) -> None:
         self.table, self.columns = table, columns
         every = (*columns.time, columns.azimuth, columns.elevation)
-        more = (*columns.radial_velocity, *columns.cnr, *columns.status, *columns.place_columns)
+        more = (*columns.radial_velocity, *columns.cnr, *columns.status, *columns.place_columns, *columns.heights)
         wanted = list(dict.fromkeys(heading.own for heading in (*every, *more)))
         (self._frame, _), *_rest = table.pieces(wanted, text=[heading.own for heading in columns.time])
         column, *of_day = (table.column(self._frame, "time", heading.own) for heading in columns.time)
@@ -124,6 +124,13 @@ class _Data:
             return values / np.where(rise > 0.0, rise, np.nan)
         return values
 
+    def heights(self) -> FloatArray | None:
+        """Return heights beside distances, m, shape (n_row, n_gate); None if there are none, or one for all gates."""
+        values = self.values("height", self.columns.heights)
+        if values is None or len(np.unique(values[np.isfinite(values)])) < 2:
+            return None
+        return values * _factor(factor_to_metres, self.columns.heights[0], self.table.file, "m, km, cm, mm or feet")
+
     def left_out(self) -> BoolArray:
         """Say which rows are bad, when all columns have been read."""
         self.table.bad.check(len(self.row))
@@ -152,7 +159,8 @@ def _rays_of_gates(data: _Data, kind: str) -> Rays:
     columns = data.columns
     velocity = one("radial_velocity", columns.radial_velocity)
     cnr, status, distance = one("cnr", columns.cnr), one("status", columns.status), data.distance()[:, 0]
-    height = one("height", columns.place_columns) if columns.place == "height" else None
+    place = one("height", columns.place_columns) if columns.place == "height" else None
+    heights = data.heights()
     rows = GateRows(
         time=data.time,
         azimuth=data.azimuth,
@@ -163,7 +171,8 @@ def _rays_of_gates(data: _Data, kind: str) -> Rays:
         status=status,
         invalid=data.invalid,
         row=data.row,
-        place=height,
+        place=place,
+        height=None if heights is None else heights[:, 0],
     )
     left_out = data.left_out()
     rows = rows.select(~left_out) if left_out.any() else rows
@@ -191,7 +200,12 @@ def _whole_rays(data: _Data, kind: str) -> Rays:
 
     velocity = in_order("radial_velocity", columns.radial_velocity)
     cnr, status = in_order("cnr", columns.cnr), in_order("status", columns.status)
+    heights = data.heights()
     kept = np.flatnonzero(~data.left_out())
+    if heights is not None:
+        check_heights(
+            distance[kept], data.elevation[kept], heights[kept], data.row[kept], data.row_word, data.table.file
+        )
     return Rays(
         file=data.table.file,
         kind=kind,
