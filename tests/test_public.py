@@ -145,9 +145,12 @@ SUBJECTS = {
         "Rays",
         "Reader",
         "Samples",
+        "ScanGroup",
+        "SortedFiles",
         "find_scan",
         "read",
         "read_statistics",
+        "sort_files",
         "stream",
     ],
     "records": [
