@@ -26,6 +26,9 @@ SAMPLES = {
         "focus_distance": Sample((50.0, 90.0), ("--focus-distance", "50", "--focus-distance", "90")),
         "tilt_deg": one("--tilt", 2.5),
         "yaw_deg": one("--yaw", -4.0),
+        "height": Sample((80.0, 120.0), ("--height", "80", "--height", "120"), {"scan": "auto"}),
+        "distance": Sample((90.0,), ("--distance", "90"), {"scan": "auto"}),
+        "scan_group": Sample(2, ("--scan-group", "2"), {"scan": "auto"}),
         "scan_toml": Sample("title = 'mine'"),
     },
     "files": {

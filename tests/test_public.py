@@ -110,7 +110,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["campaign", "comparison", "corner", "lumley", "spectra", "stresses"],
+    "plot": ["campaign", "comparison", "corner", "lumley", "scan", "spectra", "stresses"],
     "priors": [
         "CampaignPrior",
         "FlatPrior",

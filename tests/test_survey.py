@@ -311,7 +311,7 @@ class TestFilesOfSeveralScans:
         seconds = np.arange(40.0)
         write(tmp_path / "a.nc", rays(seconds, np.tile([0.0, 90.0, 180.0, 270.0], 10), 75.0))
         write(tmp_path / "b.nc", rays(seconds + 50.0, np.tile([45.0, 135.0, 225.0, 315.0], 10), 62.0))
-        with pytest.raises(InputError, match=r"hold 2 scans, and 2 of them have beams: 1: 4 beams .*--group"):
+        with pytest.raises(InputError, match=r"hold 2 scans, and 2 of them have beams: 1: 4 beams .*--scan-group"):
             find_scan(tmp_path, height=100.0)
         assert find_scan(tmp_path, height=100.0, group=2).name == "b"
 

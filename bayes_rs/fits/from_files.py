@@ -15,6 +15,7 @@ from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
+from bayes_rs.fits.found_scan import with_found_scan
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
 from bayes_rs.fits.settings import Settings
@@ -82,8 +83,10 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     """
     if not settings.files.files:
         raise InputError("No files are given: name files, folders or patterns of radial velocities, or of records.")
-    if settings.output.output is None:
+    output = settings.output.output
+    if output is None:
         raise InputError("No folder is given for the results: name one with output (--output).")
+    settings = with_found_scan(settings, say)
     scan = settings.scan.load()
     workers, client = settings.output.workers, settings.output.scheduler
     check_workers(workers, client)
@@ -99,7 +102,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
     parts = _key_parts(settings, scan, noise)
     with begin_result_folder(
-        settings.output.output,
+        output,
         key=digest(parts),
         key_parts=parts,
         resume=settings.output.resume,
@@ -120,7 +123,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
             plan = plan_fit(records, scan, found, options, inputs=inputs, in_folder=True)
         plan = with_settings(plan, **_other_sections(settings, noise))
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
-    return open_fit(settings.output.output)
+    return open_fit(output)
 
 
 def _read(

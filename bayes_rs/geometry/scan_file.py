@@ -258,6 +258,8 @@ def load_scan(
     if centre is not None:
         check_switch(centre, what="centre")
     base, changes = split_changes(name)
+    if base == "auto":
+        raise InputError("Scan auto is found in files of rays, and there are none here: name a scan or its file.")
     if changes:
         given = _given(
             opening_angle_deg=opening_angle_deg,

@@ -24,6 +24,7 @@ from bayes_rs.readers.surveyed import SurveyedFile, survey_files
 
 _REGULAR = 0.2  # share by which a direction's median revisit may differ from the cycle
 _TIME_DIGITS = 3  # of seconds; a median over rays knows no more
+_MOST_GROUPS = 5  # scans that a message lists
 _MOST_GATES = 12  # distances that are listed where none was asked for
 
 
@@ -51,6 +52,8 @@ class Survey:
         Which of them it is.
     dropped : tuple of str
         What of its own files does not count, a line each.
+    n_ray : tuple of int
+        Rays of each beam.
     """
 
     scan: Scan
@@ -58,6 +61,7 @@ class Survey:
     found: SortedFiles
     chosen: int
     dropped: tuple[str, ...]
+    n_ray: tuple[int, ...]
 
 
 def find_scan(
@@ -188,6 +192,7 @@ def survey(
     focus = np.array([[_focus(one, gates, goal, what, paths) for one in kept] for goal in wanted])
     _check_planes(focus, kept, wanted, what)
     n_plane, n_ray = len(wanted), sum(len(one.rays) for one in kept)
+    n_rays = [len(one.rays) for one in kept] * n_plane
     files_in_words = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more files"
     dropped = []
     if rare:
@@ -211,7 +216,7 @@ def survey(
         scan_duration=duration,
         probe=probe or PointProbe(),
     )
-    return Survey(scan, tuple(paths), found, 0 if number is None else number, tuple(dropped))
+    return Survey(scan, tuple(paths), found, 0 if number is None else number, tuple(dropped), tuple(n_rays))
 
 
 def _wanted(
@@ -245,13 +250,14 @@ def _chosen(groups: Sequence[ScanGroup], group: int | None) -> int | None:
         return None
     has = f"{len(with_beams)} of them have beams" if with_beams else "none of them has beams"
     raise InputError(
-        f"The files hold {len(groups)} scans, and {has}: {_listed(groups)}. Give the number of one as group (--group), "
-        "or its files alone."
+        f"The files hold {len(groups)} scans, and {has}: {_listed(groups)}. Give the number of one as group "
+        "(--scan-group), or its files alone."
     )
 
 
 def _listed(groups: Sequence[ScanGroup]) -> str:
-    return " | ".join(SortedFiles(tuple(groups), {}).in_words())
+    words = SortedFiles(tuple(groups[:_MOST_GROUPS]), {}).in_words()
+    return " | ".join(words) + (f" | and {len(groups) - _MOST_GROUPS} more" if len(groups) > _MOST_GROUPS else "")
 
 
 def _only_gate(groups: Sequence[_Found], gates: FloatArray) -> float:

@@ -48,6 +48,8 @@ def _bases(place: Path) -> dict[str, tuple[list[str], list[str]]]:
         "calibrate": (["2-beam"], ["--wind-speed", "10", "--duration", "60", "-o", "out.nc"]),
         "fit": ([records], ["--scan", "2-beam", *quick, "-o", "out"]),
         "sensitivity": ([records], ["--scan", "2-beam", *quick[:4], "-o", "out.csv"]),
+        "scans": (["6-beam"], ["-o", "out.png"]),
+        "find-scan": ([str(place / "rays.nc")], ["--distance", "100", "-o", "out.toml"]),
         "corner": ([str(place / "fit")], ["-o", "out.png"]),
         "report": ([str(place / "fit")], ["-o", "out.html"]),
         "spectra": ([series], [*of_file, "-o", "out"]),
