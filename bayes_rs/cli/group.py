@@ -13,6 +13,7 @@ COMMANDS = {
     "demo": ("data_commands:demo", "The main job on embedded data."),
     "scans": ("scan_commands:scans", "List the shipped scans and what each sees of R, or show one."),
     "find-scan": ("scan_commands:find_scan", "Make the scan that files were measured with."),
+    "look": ("scan_commands:look", "Say what is in files, and what to type next."),
     "plan": ("data_commands:plan", "Say what a scene needs computed, and what is skipped."),
     "records": ("data_commands:records", "Make records of files of radial velocities."),
     "calibrate": ("data_commands:calibrate", "Calibrate the noise of a scan, for fit --noise."),

@@ -169,3 +169,35 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
     else:
         which = [*named, "--scan", str(output)]
     click.echo(f"next: {command_line('bayes-rs', 'fit', *which, *reading, '-o', 'OUT/')}")
+
+
+@click.command(cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path())
+@settings_options("files")
+@_output
+@_overwrite
+def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options: Any) -> None:
+    """Say what is in files, before a scan or any option is known, and what to type next.
+
+    Format and the options that it assumes, beams or directions with their samples, gates, sampling, gaps, what is
+    missing, and what the sign says; of a table its headings with what they seem to be; of a cone the mean velocity
+    over the phase with the phase zeros that there may be. Of many files twenty are read, of a long table the first
+    200 000 rows.
+    """
+    from bayes_rs.cli.options import settings_of
+    from bayes_rs.output import output_file
+    from bayes_rs.readers.looking import look as look_at
+
+    given = settings_of((), options).files.of_reading()
+    found = look_at(list(files), **{name: value for name, value in given.items() if name != "on_bad_file"})
+    if output is not None:
+        with output_file(output, overwrite=overwrite) as part:
+            from bayes_rs.plot.look_plot import draw_look
+
+            draw_look(found).savefig(part, dpi=130)
+    for line in found.lines:
+        click.echo(line)
+    if output is not None:
+        click.echo(f"picture in {output}")
+    reading = reading_words({name: value for name, value in options.items() if name != "on_bad_file"})
+    click.echo(f"next: {command_line('bayes-rs', *found.words[:-2], *reading, *found.words[-2:])}")

@@ -100,6 +100,11 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
 
 def _surveyed(path: Path, options: FileOptions) -> SurveyedFile:
     rays = rays_of(path, options)
+    return surveyed_rays(path, rays)
+
+
+def surveyed_rays(path: Path, rays: Rays) -> SurveyedFile:
+    """Return what a survey takes of rays."""
     gates = rays.distance
     if len(gates) and np.array_equal(gates, np.broadcast_to(gates[:1], gates.shape), equal_nan=True):
         gates = np.broadcast_to(gates[:1].copy(), gates.shape)

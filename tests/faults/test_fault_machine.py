@@ -23,6 +23,7 @@ CASES = {
     "demo": (("demo", "-o", "demo"), "demo/widths.csv"),
     "scans": (("scans", "6-beam", "-o", "scan.png"), "scan.png"),
     "find-scan": (("find-scan", "rays.nc", "--distance", "100", "-o", "found.toml"), "found.toml"),
+    "look": (("look", "few.csv", "-o", "look.png"), "look.png"),
     "plan": (("plan", "2-beam"), None),
     "records": (("records", *OF_SAMPLES, "-o", "made.nc"), "made.nc"),
     "calibrate": (("calibrate", "2-beam", "--wind-speed", "9.7", "--duration", "60", "-o", "cal.nc"), "cal.nc"),

@@ -49,6 +49,7 @@ def _bases(place: Path) -> dict[str, tuple[list[str], list[str]]]:
         "fit": ([records], ["--scan", "2-beam", *quick, "-o", "out"]),
         "sensitivity": ([records], ["--scan", "2-beam", *quick[:4], "-o", "out.csv"]),
         "scans": (["6-beam"], ["-o", "out.png"]),
+        "look": ([series], ["-o", "out.png"]),
         "find-scan": ([str(place / "rays.nc")], ["--distance", "100", "-o", "out.toml"]),
         "corner": ([str(place / "fit")], ["-o", "out.png"]),
         "report": ([str(place / "fit")], ["-o", "out.html"]),
