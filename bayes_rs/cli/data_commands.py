@@ -41,7 +41,8 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
     with output_file(output, overwrite=overwrite) as part:
         made, _ = records_and_scan(settings)
         write_netcdf(made, part)
-    click.echo(f"{made.sizes['record']} records in {output}")
+    ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
+    click.echo(f"{made.sizes['record']} records{ranges} in {output}")
     exit_if_doubtful(made)
 
 
