@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 
 from bayes_rs._validation import check_choice, check_finite, check_positive
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.options import described, option, options_of
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
@@ -299,7 +299,8 @@ def _columns(value: object, *, what: str, names: tuple[str, ...]) -> dict[str, s
         if name not in names and not _WIDE_NAME.fullmatch(name):
             raise InputError(
                 f"Unknown name {name!r} in columns: it must be one of {', '.join(names)}, or for "
-                "a wide table vr_<beam number>, cnr_<beam number> or status_<beam number>."
+                "a wide table vr_<beam number>, cnr_<beam number> or status_<beam number>"
+                f"{f'; {meant}' if (meant := did_you_mean(name, names)) else '.'}"
             )
         if isinstance(column, bool) or not isinstance(column, (str, int, np.integer)):
             raise InputError(

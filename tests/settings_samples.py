@@ -26,6 +26,7 @@ SAMPLES = {
         "focus_distance": Sample((50.0, 90.0), ("--focus-distance", "50", "--focus-distance", "90")),
         "tilt_deg": one("--tilt", 2.5),
         "yaw_deg": one("--yaw", -4.0),
+        "scan_group": Sample(2, ("--scan-group", "2"), {"scan": "auto"}),
         "scan_toml": Sample("title = 'mine'"),
     },
     "files": {

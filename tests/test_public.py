@@ -111,7 +111,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["campaign", "comparison", "corner", "lumley", "profile", "spectra", "stresses"],
+    "plot": ["campaign", "comparison", "corner", "lumley", "profile", "scan", "spectra", "stresses"],
     "priors": [
         "CampaignPrior",
         "FlatPrior",
@@ -146,10 +146,13 @@ SUBJECTS = {
         "Rays",
         "Reader",
         "Samples",
+        "ScanGroup",
+        "SortedFiles",
         "find_scan",
         "read",
         "read_sonic",
         "read_statistics",
+        "sort_files",
         "stream",
     ],
     "records": [

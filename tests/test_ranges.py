@@ -79,7 +79,10 @@ class TestScanAtRanges:
         ranged = RangedScan.of(six, distances_at(six, [80.0, 160.0]))
         np.testing.assert_allclose(ranged.height, [80.0, 160.0])
         assert RangedScan.of(load_scan("4-beam"), [80.0]).height is None
-        assert RangedScan.of(six, [100.0]).height is None  # the zenith's gate is 3.5 % higher
+        # the zenith's gate is 3.5 % higher than the others: the median is told
+        np.testing.assert_allclose(RangedScan.of(six, [100.0]).height, 100.0 * np.sin(np.deg2rad(75.0)))
+        flat = six.select([0, 5])
+        assert RangedScan.of(flat, [[80.0, 120.0]]).height is None
 
     @pytest.mark.parametrize(
         ("distance", "words"),

@@ -18,6 +18,7 @@ from bayes_rs.cli.options import (
 )
 from bayes_rs.cli.range_options import fit_at_range, range_options
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
+from bayes_rs.fits.settings import AUTO
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +54,8 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     refuse_beside_noise(settings)
     if not settings.output.resume:
         check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
-    if settings.files.files and open_record_files(settings.files.files, settings.scan.load()) is not None:
+    named = settings.scan.scan != AUTO or settings.scan.scan_toml is not None
+    if settings.files.files and named and open_record_files(settings.files.files, settings.scan.load()) is not None:
         refuse_for_records(settings.files.files)
     if save_settings is not None:
         if Path(save_settings).exists():

@@ -12,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
@@ -131,6 +131,20 @@ class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new 
     ) -> list[CompletionItem]:
         """Complete the words."""
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
+
+
+class ListedChoice(click.Choice):  # type: ignore[type-arg] # generic in new versions of click only
+    """A text that is one of a list; another gets the nearest of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the entry of the list."""
+        try:
+            return str(super().convert(value, param, ctx))
+        except click.BadParameter as error:
+            meant = did_you_mean(value, map(str, self.choices))
+            self.fail(
+                f"{error.format_message().partition(': ')[2]} {meant[:1].upper()}{meant[1:]}".rstrip(), param, ctx
+            )
 
 
 class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
@@ -371,7 +385,7 @@ def _type(entry: Option, kinds: list[Any]) -> Any:
         return click.INT
     if not entry.about.choices:
         return click.Path() if entry.about.metavar in ("FILE", "FOLDER") else click.STRING
-    return OpenChoice(lambda: entry.choices) if entry.about.open else click.Choice(entry.choices)
+    return OpenChoice(lambda: entry.choices) if entry.about.open else ListedChoice(entry.choices)
 
 
 def _help(entry: Option, *, several: bool) -> str:

@@ -13,8 +13,8 @@ from bayes_rs._validation import FloatArray, check_array, check_finite
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 
-_SAME_HEIGHT = 0.02
-"""Share by which the heights of a level's beams may differ, to be called one height: the rise of u over it is small."""
+_SAME_HEIGHT = 0.1
+"""Share by which the heights of a level's beams may differ from their median, to be called one height."""
 _SAME_DIRECTION = 1e-6  # chord; to rounding
 _RISES = 0.1
 """Component upwards of the flattest beam from which on a scan looks up: from 6 degrees of elevation on."""

@@ -4,4 +4,5 @@ from .lumley_plot import lumley as lumley
 from .of_others import comparison as comparison
 from .of_others import spectra as spectra
 from .profile_plot import profile as profile
+from .scan_plot import scan as scan
 from .stresses_plot import stresses as stresses
