@@ -92,11 +92,11 @@ def stream(
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "day.csv"
-    ...     rows = [f"2020-09-03T19:{minute:02d}:00,0,-{minute}\n" for minute in range(4)]
+    ...     rows = [f"2020-09-03T19:{minute:02d}:00,0,{minute}\n" for minute in range(4)]
     ...     _ = file.write_text("time,beam,radial_velocity\n" + "".join(rows))
     ...     pieces = stream(file, "staring", chunk_rows=2, period=60.0)
     ...     [series["radial_velocity"].values.tolist() for series in pieces]
-    [[0.0, -1.0], [-2.0, -3.0]]
+    [[0.0, 1.0], [2.0, 3.0]]
     """
     of_scan = as_scan(scan)
     chosen = checked_options(options, of_scan)

@@ -272,7 +272,7 @@ def read_statistics(
     >>> row = "1;13.12.2016 00:10:00;5,464;0,1482"
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "Wind10_317.csv"
-    ...     _ = file.write_text(chr(10).join([first, headings, row]))
+    ...     _ = file.write_text(chr(10).join([first, headings, row, ""]))
     ...     statistics = read_statistics(file)
     >>> statistics["wind_speed"].item(), str(statistics["time"].values[0])[:16]
     (5.464, '2016-12-12T23:10')
