@@ -170,8 +170,8 @@ def cfradial(rays: RayTable, *, velocity: str = "VEL", standard_name: str | None
 def write_cfradial2(file: Path, *sweeps: xr.Dataset) -> Path:
     """Write sweeps into groups, as version 2 has them."""
     names = [f"sweep_{number}" for number in range(len(sweeps))]
-    root = xr.Dataset({"sweep_group_name": ("sweeps", np.array(names, dtype=object))}, attrs={"version": "2.0"})
-    root.rename(sweep_group_name="sweep_group_names").to_netcdf(file, engine="h5netcdf")
+    root = xr.Dataset({"sweep_group_name": ("sweep", np.array(names, dtype=object))}, attrs={"version": "2.0"})
+    root.to_netcdf(file, engine="h5netcdf")
     for name, sweep in zip(names, sweeps, strict=True):
         sweep.drop_vars("sweep_mode").to_netcdf(file, group=name, mode="a", engine="h5netcdf")
     return file
