@@ -163,8 +163,10 @@ def cfradial(rays: RayTable, *, velocity: str = "VEL", standard_name: str | None
         coords={"time": ("time", rays.seconds, {"units": "seconds since 2000-01-01T00:00:00Z"})},
         attrs={"Conventions": "CF/Radial instrument_parameters", "version": "1.3"},
     )
-    distances = ("range", rays.distance[0]) if one_elevation else (dims, rays.distance)
-    return made.assign(range=(*distances, {"units": "meters", "standard_name": "projection_range_coordinate"}))
+    attributes = {"units": "meters", "standard_name": "projection_range_coordinate"}
+    if one_elevation:
+        return made.assign_coords(range=("range", rays.distance[0], attributes))
+    return made.rename_dims(range="gate").assign(range=(("time", "gate"), rays.distance, attributes))
 
 
 def write_cfradial2(file: Path, *sweeps: xr.Dataset) -> Path:
