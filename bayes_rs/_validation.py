@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.quantities import LIMITS, MOST_SEED, OF_COUNT, OF_SIZE, Limits
 
 FloatArray = NDArray[np.float64]
@@ -42,7 +42,9 @@ def check_choice(value: str, choices: tuple[str, ...], *, what: str, of: str = "
     """Return `value` if it is one of `choices`."""
     if not isinstance(value, str) or value not in choices:
         owner = f" of {of}" if of else ""
-        raise InputError(f"Unknown {what} {in_short(value)}{owner}: it must be one of {', '.join(choices)}.")
+        meant = did_you_mean(value, choices)
+        listed = f"it must be one of {', '.join(choices)}{f'; {meant}' if meant else '.'}"
+        raise InputError(f"Unknown {what} {in_short(value)}{owner}: {listed}")
     return value
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
+from collections.abc import Iterable
 from typing import Any
 
+_LONGEST_NAME = 100
 _SHOWN = reprlib.Repr()
 _SHOWN.maxstring = _SHOWN.maxother = 200
 _SHOWN.maxlong = 40
@@ -17,6 +20,29 @@ def in_short(value: object) -> str:
     except Exception:  # noqa: BLE001 - an object of the user's own may fail to say what it is
         text = f"<{type(value).__name__}>"
     return " ".join(text.split())
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the question for the name that was meant, as ``did you mean 'zx-tm'?``; empty if none is near.
+
+    Parameters
+    ----------
+    name : object
+        What was given.
+    known : iterable of str
+        The names that there are. Case, hyphens, underscores, points and spaces do not count.
+    """
+    if not isinstance(name, str) or len(name) > _LONGEST_NAME:
+        return ""
+    plain = {plain_name(one): one for one in known}
+    begins = [one for one in plain if len(name) > 1 and one.startswith(plain_name(name))]
+    close = begins[:1] or difflib.get_close_matches(plain_name(name), list(plain), n=1)
+    return f"did you mean {plain[close[0]]!r}?" if close else ""
+
+
+def plain_name(name: str) -> str:
+    """Return a name as it is compared: in small letters, without hyphens, underscores, points and spaces."""
+    return "".join(character for character in name.lower() if character not in "-_. ")
 
 
 class InputError(ValueError):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short, plain_name
+from bayes_rs.toml_file import read_toml
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -45,7 +47,8 @@ def find_model(name: str | Path, kind: str) -> Path:
     Parameters
     ----------
     name : str or Path
-        Path of a TOML file (anything that ends in ``.toml``), or a preset's name.
+        Path of a TOML file (anything that ends in ``.toml``), or a preset's name or alias; case, hyphens, underscores,
+        points and spaces of a name do not count.
     kind : str
         ``"scans"`` or ``"turbulence"``.
 
@@ -66,12 +69,32 @@ def find_model(name: str | Path, kind: str) -> Path:
                 f"No file {in_short(str(path))}: give the path of a TOML file, or one of the names in models/{kind}."
             )
         return path
-    if str(name) not in preset_names(kind):
-        names = ", ".join(preset_names(kind))
-        raise InputError(
-            f"No preset {in_short(str(name))} in models/{kind}: use one of {names}, or the path of a .toml file."
-        )
-    return models_folder(kind) / f"{name}.toml"
+    names, others = preset_names(kind), preset_aliases(kind)
+    meant = next((own for other, own in others.items() if plain_name(other) == plain_name(str(name))), None)
+    if meant is None:
+        close = did_you_mean(str(name), others)
+        listed = f"use one of {', '.join(names)}, or the path of a .toml file"
+        raise InputError(f"No preset {in_short(str(name))} in models/{kind}: {listed}{f'; {close}' if close else '.'}")
+    return models_folder(kind) / f"{meant}.toml"
+
+
+@lru_cache(maxsize=4)
+def preset_aliases(kind: str) -> dict[str, str]:
+    """Return the shipped presets of one kind by all names that they go by.
+
+    Parameters
+    ----------
+    kind : str
+        ``"scans"`` or ``"turbulence"``.
+
+    Returns
+    -------
+    names : dict of str to str
+        The name of the preset by its own name and by each alias in its file.
+    """
+    names = preset_names(kind)
+    own = {name: read_toml(models_folder(kind) / f"{name}.toml").get("aliases", []) for name in names}
+    return {name: name for name in names} | {alias: name for name, others in own.items() for alias in others}
 
 
 def demo_file(name: str) -> Path:
@@ -100,7 +123,8 @@ def demo_file(name: str) -> Path:
     path = models_folder("demo") / f"{name}.parquet"
     if not path.is_file():
         names = ", ".join(sorted(file.stem for file in models_folder("demo").glob("*.parquet")))
-        raise InputError(f"No embedded data {in_short(name)}: use one of {names}.")
+        close = did_you_mean(name, names.split(", "))
+        raise InputError(f"No embedded data {in_short(name)}: use one of {names}{f'; {close}' if close else '.'}")
     return path
 
 

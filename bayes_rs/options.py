@@ -6,7 +6,6 @@ command line, `run.json` and the tables of the documentation are all made from t
 
 from __future__ import annotations
 
-import difflib
 import math
 import reprlib
 import types
@@ -18,7 +17,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short
 
 _Class = TypeVar("_Class")
 _KEY = "bayes_rs option"
@@ -288,12 +287,11 @@ def _has_type(value: Any, annotation: Any) -> bool:
 def nearest(name: str, known: Mapping[str, Any], elsewhere: Mapping[str, tuple[str, ...]] | None = None) -> str:
     """Ask which option was meant, or say which there are; `elsewhere` are those of other sections, and their places."""
     places = elsewhere or {}
-    names = list({**known, **places})
-    close = [one for one in names if one.startswith(f"{name}_")] or difflib.get_close_matches(name, names, n=1)
-    if not close:
+    meant = did_you_mean(name, {**known, **places})
+    if not meant:
         return f"the options are {', '.join(known)}."
-    place = "" if close[0] in known else f" of section {'.'.join(places[close[0]])}"
-    return f"did you mean {close[0]!r}{place}?"
+    close = next(one for one in {**known, **places} if meant == f"did you mean {one!r}?")
+    return meant if close in known else f"did you mean {close!r} of section {'.'.join(places[close])}?"
 
 
 def _default(entry: Field[Any]) -> Any:

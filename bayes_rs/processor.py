@@ -68,5 +68,7 @@ def end_with(parent: int) -> None:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Have BLAS calculate with one thread: sums are then in one order, whatever the number of cores."""
+    import scipy.linalg  # noqa: F401, PLC0415 - it brings a BLAS of its own, and only one that is there is limited
+
     with threadpool_limits(1):
         yield

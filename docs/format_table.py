@@ -21,7 +21,7 @@ def _row(reader: Reader) -> tuple[str, ...]:
     return (
         f"`{reader.name}`",
         reader.title,
-        own + of.get("positive", "away"),
+        "must be given" if "positive" in reader.must_say else own + of.get("positive", "away"),
         f"{of['time_stamp']} of a sample" if "time_stamp" in of else "as it stands",
         of.get("time_zone", "UTC"),
         f"{min(invalid):g} to {max(invalid):g}" if invalid else "none",

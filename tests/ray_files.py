@@ -201,3 +201,39 @@ def arm(rays: RayTable) -> xr.Dataset:
         coords={"time": ("time", rays.seconds, {"units": since, "long_name": "Time offset from midnight"})},
         attrs={"datastream": "sgpdlppiC1.b1", "dod_version": "dlppi-b1-1.1"},
     )
+
+
+def mixed_hour(folder: Path, *, n_gate: int = 60, bursts: int = 6) -> Path:
+    """Write 118 files of one lidar's hour: DBS cycles, stares at the zenith, and sweeps of both kinds.
+
+    90 files of a DBS cycle each in six bursts of fifteen, 12 stares, 10 PPIs at two elevations, 6 RHIs; angles are as
+    rough as those of real files. With fewer bursts a part of it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(4)
+
+    def save(name: str, begin: float, step: float, azimuth, elevation) -> None:
+        azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, dtype=float), elevation)
+        n_ray = len(azimuth)
+        distance = np.tile(100.0 + 25.0 * np.arange(n_gate), (n_ray, 1))
+        rays = RayTable(
+            seconds=6.75e8 + begin + step * np.arange(n_ray),
+            azimuth=(azimuth + rng.normal(0.0, 0.01, n_ray)) % 360.0,
+            elevation=elevation + rng.normal(0.0, 0.005, n_ray),
+            distance=distance,
+            velocity=rng.normal(0.0, 1.0, distance.shape),
+        )
+        stamp = np.datetime64("2000-01-01") + np.timedelta64(round(rays.seconds[0]), "s")
+        windcube_sweep(rays).to_netcdf(folder / f"{str(stamp).replace(':', '-')}_{name}.nc", engine="h5netcdf")
+
+    for burst in range(bursts):
+        begin = 600.0 * burst
+        for cycle in range(15):
+            save("dbs", begin + 20.0 * cycle, 4.0, [0.0, 0.0, 180.0, 270.0, 90.0], [75.0, 90.0, 75.0, 75.0, 75.0])
+        for number in range(2):
+            save("fixed", begin + 300.0 + 60.0 * number, 1.0, np.zeros(60), 90.0)
+        if burst < 5:
+            save("ppi", begin + 420.0, 0.5, np.arange(0.0, 90.0, 1.0) - 20.0, 4.0)
+            save("ppi", begin + 465.0, 0.5, np.arange(0.0, 180.0, 2.0) + 100.0, 10.0)
+        save("rhi", begin + 510.0, 0.5, np.full(88, 30.0), np.arange(2.0, 90.0, 1.0))
+    return folder

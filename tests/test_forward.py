@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bayes_rs import InputError, load_scan
-from bayes_rs.geometry.forward import design_matrix, radial_variance, sight
+from bayes_rs.geometry.forward import _gain_change, design_matrix, radial_variance, sight
 from bayes_rs.geometry.scan_file import cone_direction
 from bayes_rs.geometry.stress import unpack_stress
 from bayes_rs.models import preset_names
 from bayes_rs.priors.registry import WeakPrior
+from bayes_rs.readers.rays import direction_of
 
 STRESS = arrays(np.float64, 6, elements=st.floats(-5.0, 5.0))
 ANGLE = st.floats(-np.pi, np.pi)
@@ -104,6 +105,52 @@ class TestSight:
         assert lead == sorted(lead)
         np.testing.assert_allclose(unseen[:, lead], np.eye(6 - n_beam), rtol=0.0, atol=1e-12)  # rounding
         np.testing.assert_allclose(sight(beams[::-1]).unseen, unseen, rtol=0.0, atol=1e-9)  # condition below 1e3
+
+    @pytest.mark.parametrize("off", [0.0, 0.02, 0.3])
+    def test_what_an_error_of_the_angles_could_make_is_not_told(self, off):
+        """Four beams at an elevation of 75° and the zenith: those in the field are hundredths of a degree off."""
+        azimuth = np.array([0.0, 90.0, 180.0, 270.0, 0.0]) + off * np.array([-1.0, 0.5, 0.7, -0.2, 0.0])
+        elevation = np.array([75.0, 75.0, 75.0, 75.0, 90.0]) + 0.3 * off * np.array([1.0, -1.0, 0.5, 0.2, -1.0])
+        seen = sight(direction_of(azimuth, elevation))
+        assert (seen.rank, seen.in_words()) == (5, "sees uu, vv, ww, uw, vw; does not see uv")
+        np.testing.assert_array_equal(seen.unseen, [[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+        if off:
+            assert "only together with" in sight(direction_of(azimuth, elevation), pointing_deg=0.0).in_words()
+
+    def test_a_sixth_beam_by_mistake_is_no_sixth_direction(self):
+        """Beams that differ by 0.05° are one: what they tell apart is less than what their angles are known to."""
+        beams = direction_of(np.array([0.0, 90.0, 180.0, 270.0, 0.0, 0.05]), np.array([75.0] * 4 + [90.0, 75.03]))
+        assert sight(beams, pointing_deg=0.0).rank == 6
+        seen = sight(beams)
+        assert (seen.rank, seen.in_words()) == (5, "sees uu, vv, ww, uw, vw; does not see uv")
+        assert seen.condition < 100.0
+
+    def test_an_azimuth_that_is_really_another_is_told(self):
+        """tan 20° = 0.364: the unseen direction is uv in the frame of the beams, which is turned by 10°."""
+        beams = direction_of(np.array([10.0, 100.0, 190.0, 280.0, 0.0]), np.array([75.0, 75.0, 75.0, 75.0, 90.0]))
+        assert sight(beams).in_words() == "sees ww, uw, vw; sees uu only together with vv − 2.75 uv"
+
+    @pytest.mark.parametrize("name", preset_names("scans"))
+    def test_the_tolerance_changes_nothing_that_is_told_of_presets(self, name):
+        exact, told = sight(load_scan(name), pointing_deg=0.0), sight(load_scan(name))
+        assert (told.rank, told.condition, told.in_words()) == (exact.rank, exact.condition, exact.in_words())
+
+    def test_an_angle_that_is_none(self):
+        with pytest.raises(InputError, match="Invalid pointing_deg -1"):
+            sight(load_scan("6-beam"), pointing_deg=-1.0)
+
+    @pytest.mark.parametrize("n_beam", [4, 5, 6, 12])
+    def test_the_tolerance_is_what_turned_beams_make(self, n_beam):
+        """Beams turned at random: their gains for what is unseen, and the unseen direction, move as far as is said."""
+        rng = np.random.default_rng(n_beam)
+        azimuth = np.arange(0.0, 360.0, 360.0 / n_beam)
+        beams = direction_of(azimuth, np.full(n_beam, 62.0))
+        unseen = np.linalg.svd(design_matrix(beams))[2][-1]
+        tilt = np.deg2rad(0.1) * rng.standard_normal((4000, n_beam, 3))
+        tilt -= np.sum(tilt * beams, axis=-1, keepdims=True) * beams
+        change = design_matrix(beams + tilt) @ unseen - design_matrix(beams) @ unseen
+        expected = np.deg2rad(0.1) * _gain_change(beams, unseen[np.newaxis])[:, 0]
+        np.testing.assert_allclose(change.std(axis=0), expected, rtol=0.05)  # 4000 draws: 1.1 %, 12 beams
 
     def test_words_say_how_much_of_one_stress_goes_with_another(self):
         """On the cone n₁² = 2 n₂² + n₃² one more uu is undone by 2 less vv and 1 less ww."""

@@ -195,8 +195,32 @@ class TestForRecords:
         noise = noise_for_records(records, load_scan("6-beam"), FLOW)
         assert noise.in_words(records["wind_speed"], np.deg2rad(records["yaw"])) == (
             "noise: shipped, fu-2022, method theory, 35 states (2.5 to 40 m/s, yaw -60 to 60°, L 61 m); "
-            "interpolated, with an error of 0.72 %"
+            "interpolated, with an error of at most 0.72 %"
         )
+
+    def test_the_error_that_is_told_is_that_where_records_are(self, tmp_path):
+        scan = load_scan("staring")
+        flow = {"length_scale": [15.0, 150.0], "wind_speed": [6.0, 24.0], "yaw_deg": [0.0, 0.0]}
+        noise = refined_noise(scan, FLOW, **flow, tolerance=0.05, cache=tmp_path)
+        errors = np.array(noise.details["interpolation_errors"])
+        sizes = [max(len(axis) - 1, 1) for axis in noise.net.axes]
+        assert errors.shape == (np.prod(sizes),)
+        assert errors.max() == pytest.approx(noise.interpolation_error, rel=0.01)  # three digits are kept
+        # the middle of the cell that holds U = 10.5 m/s and L = 100 m, by theory alone
+        speeds, lengths = np.exp(noise.net.axes[0]), np.exp(noise.net.axes[2])
+        at, of = np.searchsorted(speeds, 10.5) - 1, np.searchsorted(lengths, 100.0) - 1
+        speed, length = (np.sqrt(axis[i] * axis[i + 1]) for axis, i in ((speeds, at), (lengths, of)))
+        truth = theory_noise(scan, replace(FLOW, length_scale=length), wind_speed=speed, yaw=0.0)
+        between = noise.for_records([speed], [0.0], length_scale=[length])
+        own = relative_distance(between.covariance, truth.covariance)[0]
+        assert own < 0.5 * noise.interpolation_error
+        words = noise.in_words([10.5, np.nan], [0.0, 0.0], length_scale=[100.0, 30.0])
+        assert f"interpolated, with an error of {100.0 * own:.2g} % at the records" in words
+        everywhere = noise.in_words([7.0, 20.0], [0.0, 0.0], length_scale=[[100.0, np.nan], [17.0, 40.0]])
+        assert f"{100.0 * own:.2g} %" not in everywhere
+        worst = f"with an error of at most {100.0 * noise.interpolation_error:.2g} %"
+        assert worst in noise.in_words()
+        assert worst in noise.in_words([10.5], [0.0])  # whose length scale is not said
 
     @pytest.mark.usefixtures("no_theory")
     def test_shipped_for_some_of_the_beams(self):

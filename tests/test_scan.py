@@ -156,7 +156,15 @@ class TestOverrides:
         assert "assumption" in with_probe.source
 
     def test_geometries_without_an_instrument_are_points(self):
-        instruments = {"zx-tm", "zx-300", "spinnerlidar", "spinnerlidar-planes", "pulsed-4-beam"}
+        instruments = {
+            "zx-tm",
+            "zx-300",
+            "spinnerlidar",
+            "spinnerlidar-planes",
+            "pulsed-4-beam",
+            "windcube-v2",
+            "wls200s-dbs",
+        }
         assert {name for name in preset_names("scans") if load_scan(name).probe != PointProbe()} == instruments
 
     def test_the_weighting_of_the_pulsed_lidar_is_30_m_wide_at_half_its_height(self):

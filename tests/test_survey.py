@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ray_files import RayTable, e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_files import RayTable, e_windlidar, mixed_hour, rays_of, six_beam, windcube_sweep, write_windcube
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import make_probe
@@ -15,6 +15,7 @@ from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.readers import read
 from bayes_rs.readers.rays import angles_of, direction_of
+from bayes_rs.readers.sorting import sort_files
 from bayes_rs.readers.survey import find_scan
 from bayes_rs.records.making import make_records
 from bayes_rs.simulation.virtual import simulate
@@ -222,6 +223,20 @@ class TestInput:
         with pytest.raises(InputError, match=r"own\.nc.* none of the formats whose rays say where they point"):
             find_scan(tmp_path / "own.nc", height=100.0)
 
+    def test_the_gates_that_are_there_are_listed(self, tmp_path):
+        file = write(tmp_path / "a.nc", rays(np.arange(20.0), 10.0, 30.0))
+        words = (
+            r"in direction \(10\.0, 30\.0\) \(azimuth, elevation\) at distances 100, 120, 140 m, heights 50, 60, 70 m\."
+        )
+        with pytest.raises(InputError, match=f"Give height or distance.* The gates that are there: {words}"):
+            find_scan(file)
+        many = write(tmp_path / "b.nc", rays(np.arange(20.0), 10.0, -1.0, 50.0 + 25.0 * np.arange(40)))
+        with pytest.raises(InputError, match=r"300, … \(40 in all\), 1025 m\.$"):
+            find_scan(many)
+
+    def test_rays_with_one_gate_need_no_distance(self, tmp_path):
+        assert find_scan(write(tmp_path / "a.nc", rays(np.arange(20.0), 10.0, 30.0, (93.0,)))).focus_distance == [93.0]
+
     def test_options_of_reading(self, tmp_path):
         sweep = windcube_sweep(rays(np.arange(20.0), 10.0, 60.0))
         sweep["elevation"].values[3] = -9999.0
@@ -237,6 +252,147 @@ class TestInput:
         distance[:5] += 8.0
         found = find_scan(write(tmp_path / "a.nc", replace(table, distance=distance)), height=121.0)
         assert found.focus_distance.tolist() == [120.0]
+
+
+@pytest.fixture(scope="module")
+def hour(tmp_path_factory):
+    return mixed_hour(tmp_path_factory.mktemp("mixed") / "hour", n_gate=6, bursts=2)
+
+
+class TestFilesOfSeveralScans:
+    """Twenty minutes of one lidar, as `mixed_hour` writes them."""
+
+    def test_are_sorted(self, hour):
+        found = sort_files(hour)
+        assert [(one.kind, len(one.files), one.n_ray) for one in found.groups] == [
+            ("beams", 30, 150),
+            ("stare", 4, 240),
+            ("ppi", 2, 180),
+            ("ppi", 2, 180),
+            ("rhi", 2, 176),
+        ]
+        assert [{path.stem.split("_")[1] for path in one.files} for one in found.groups] == [
+            {"dbs"},
+            {"fixed"},
+            {"ppi"},
+            {"ppi"},
+            {"rhi"},
+        ]
+        words = [line.partition(";")[0] for line in found.in_words()]
+        assert words[1:] == [
+            "2: stare at (azimuth, elevation) (0.0, 90.0)",
+            "3: PPI, azimuth 340.0 to 69.0, elevation 4.0 degrees",
+            "4: PPI, azimuth 100.0 to 278.0, elevation 10.0 degrees",
+            "5: RHI, azimuth 30.0, elevation 2.0 to 89.0 degrees",
+        ]
+        assert found.in_words()[1].endswith(
+            "; gates 100 to 225 m every 25 m; 4 files, 240 rays, 2021-05-22T12:05:00 to 12:16:59"
+        )
+        assert (found.groups[0].nearest, found.groups[0].farthest) == (100.0, 225.0)
+
+    def test_the_only_one_with_beams_is_found(self, hour):
+        """The zenith's stares count for nothing: with them a beam would have 17 samples for one of the others."""
+        found = find_scan(hour, height=150.0)
+        assert (found.n_beam, found.scan_duration) == (5, 20.0)
+        assert found.beam_time.tolist() == [0.0, 4.0, 8.0, 12.0, 16.0]
+        assert found.source.startswith("150 rays of 2021-05-22T12-00-00_dbs.nc and 29 more files")
+        alone = find_scan(str(hour / "*dbs.nc"), height=150.0)
+        assert alone.key == found.key
+
+    def test_another_is_chosen_by_its_number(self, hour):
+        stare = find_scan(hour, distance=125.0, group=2)
+        assert (stare.n_beam, stare.scan_duration) == (1, 1.0)
+        with pytest.raises(InputError, match=r"Invalid group 6: the files hold 5: 1: 5 beams"):
+            find_scan(hour, distance=125.0, group=6)
+        with pytest.raises(InputError, match="Invalid group 0"):
+            find_scan(hour, distance=125.0, group=0)
+
+    def test_two_with_beams_are_asked_for(self, tmp_path):
+        seconds = np.arange(40.0)
+        write(tmp_path / "a.nc", rays(seconds, np.tile([0.0, 90.0, 180.0, 270.0], 10), 75.0))
+        write(tmp_path / "b.nc", rays(seconds + 50.0, np.tile([45.0, 135.0, 225.0, 315.0], 10), 62.0))
+        with pytest.raises(InputError, match=r"hold 2 scans, and 2 of them have beams: 1: 4 beams .*--scan-group"):
+            find_scan(tmp_path, height=100.0)
+        assert find_scan(tmp_path, height=100.0, group=2).name == "b"
+
+    def test_none_with_beams(self, tmp_path):
+        write(tmp_path / "a.nc", rays(np.arange(40.0), 0.0, 90.0))
+        write(tmp_path / "b.nc", rays(np.arange(50.0, 140.0), np.arange(90.0), 5.0))
+        with pytest.raises(InputError, match=r"hold 2 scans, and none of them has beams: 1: stare at .* 2: PPI"):
+            find_scan(tmp_path, height=100.0)
+
+    def test_files_of_one_beam_each_are_one_scan(self, tmp_path):
+        """Five files of an hour, one for each line of sight, in turn; and five stares one after the other."""
+        for number, azimuth in enumerate(AZIMUTHS):
+            write(tmp_path / f"los{number}.nc", rays(number + 5.0 * np.arange(20), azimuth, 75.0))
+        (group,) = sort_files(tmp_path).groups
+        assert (group.kind, len(group.files), len(group.direction)) == ("beams", 5, 5)
+        assert find_scan(tmp_path, height=100.0).scan_duration == 5.0
+        for number, azimuth in enumerate(AZIMUTHS):
+            write(tmp_path / f"los{number}.nc", rays(number * 100.0 + np.arange(100), azimuth, 75.0))
+        assert [group.kind for group in sort_files(tmp_path).groups] == ["stare"] * 5
+        with pytest.raises(InputError, match="stay on one direction before they go to the next"):
+            find_scan(tmp_path, height=100.0)
+
+    def test_a_part_of_a_cycle_and_rays_on_the_way(self, tmp_path):
+        for cycle in range(6):
+            azimuth = [*AZIMUTHS, 20.0 + 30.0 * cycle] if cycle % 2 else AZIMUTHS
+            write(tmp_path / f"{cycle}.nc", rays(10.0 * cycle + np.arange(len(azimuth)), azimuth, 75.0))
+        write(tmp_path / "last.nc", rays(60.0 + np.arange(2), AZIMUTHS[:2], 75.0))
+        (group,) = sort_files(tmp_path).groups
+        assert (group.kind, group.n_ray, len(group.direction)) == ("beams", 35, 5)
+
+    @pytest.mark.parametrize("n_beam", [8, 24, 50])
+    def test_a_ring_is_no_sweep(self, tmp_path, n_beam):
+        """Nor is a cone about the horizon, whose beams lie at one elevation only in pairs."""
+        azimuth = np.tile(np.arange(0.0, 360.0, 360.0 / n_beam), 3)
+        write(tmp_path / "a.nc", rays(np.arange(3.0 * n_beam), azimuth, 62.0))
+        assert [group.kind for group in sort_files(tmp_path).groups] == ["beams"]
+        cone = load_scan("50-beam").select(np.arange(0, 50, 50 // n_beam)).beam_direction
+        write(tmp_path / "a.nc", rays(np.arange(3.0 * len(cone)), *(np.tile(one, 3) for one in angles_of(cone))))
+        assert [group.kind for group in sort_files(tmp_path, tolerance_deg=0.5).groups] == ["beams"]
+
+    @pytest.mark.parametrize("step", [0.1, 0.5, 1.0, 2.0, 5.0])
+    @pytest.mark.parametrize("kind", ["ppi", "rhi", "sweep"])
+    def test_sweeps_of_any_step(self, tmp_path, step, kind):
+        rng = np.random.default_rng(2)
+        turn = np.arange(10.0, 75.0, step)
+        if kind == "sweep":
+            turn = turn[:: max(int(1.0 / step), 1)] if step < 1.0 else np.arange(10.0, 75.0, 1.0)
+        away = {"ppi": (turn + 310.0, 8.0), "rhi": (75.0, turn), "sweep": (1.2 * turn, turn)}[kind]
+        azimuth, elevation = np.broadcast_arrays(*away)
+        azimuth, elevation = (angle + rng.normal(0.0, 0.02, len(turn)) for angle in (azimuth, elevation))
+        write(tmp_path / "a.nc", rays(0.5 * np.arange(len(turn)), azimuth % 360.0, elevation))
+        assert [group.kind for group in sort_files(tmp_path).groups] == [kind]
+
+    @pytest.mark.parametrize(("times", "kind"), [([0.0], "ppi"), ([0.0, 1000.0], "ppi"), ([0.0, 60.0], "beams")])
+    def test_a_circle_that_comes_again_after_minutes_is_a_sweep(self, tmp_path, times, kind):
+        for begin in times:
+            write(tmp_path / f"{begin}.nc", rays(begin + 0.5 * np.arange(120), np.arange(0.0, 360.0, 3.0), 20.0))
+        assert [group.kind for group in sort_files(tmp_path).groups] == [kind]
+
+    def test_the_same_beams_with_other_gates_are_another_scan(self, tmp_path):
+        """Gates of 25 m and 100 m in turn: probes of another length, which no scan joins."""
+        for number, step in enumerate((25.0, 100.0, 25.0, 100.0)):
+            seconds = 20.0 * number + 5.0 * np.arange(4)
+            gates = 100.0 + step * np.arange(4)
+            write(tmp_path / f"{number}.nc", rays(seconds, [0.0, 90.0, 180.0, 270.0], 75.0, gates))
+        found = sort_files(tmp_path)
+        assert [(one.kind, one.spacing, len(one.files)) for one in found.groups] == [
+            ("beams", 25.0, 2),
+            ("beams", 100.0, 2),
+        ]
+
+    def test_files_that_cannot_be_read(self, tmp_path):
+        write(tmp_path / "a.nc", rays(np.arange(20.0), np.tile([0.0, 90.0], 10), 75.0))
+        (tmp_path / "b.nc").write_bytes(b"nothing")
+        with pytest.raises(InputError, match=r"b\.nc"):
+            sort_files(tmp_path)
+        found = sort_files(tmp_path, on_bad_file="skip")
+        assert [path.name for path in found.skipped] == ["b.nc"]
+        (tmp_path / "a.nc").unlink()
+        with pytest.raises(InputError, match=r"None of 1 files has rays that can be read; the first: .*b\.nc"):
+            sort_files(tmp_path, on_bad_file="skip")
 
 
 def test_the_measured_hour(six_beam_hour):

@@ -28,23 +28,6 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
         click.echo(line)
 
 
-@click.command()
-def scans() -> None:
-    """List the shipped scans and what each can see of the six stresses."""
-    from bayes_rs.geometry.forward import sight
-    from bayes_rs.geometry.scan_file import load_scan
-    from bayes_rs.models import preset_names
-
-    click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
-    for name in preset_names("scans"):
-        scan = load_scan(name)
-        seen = sight(scan)
-        click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
-    click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
-    click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
-    click.echo("The scans of instruments have a probe volume; behind a name, @probe=point takes it away.")
-
-
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options("scan", "files", "records", "quality", "output", only={"output": ("workers",)})
@@ -58,7 +41,8 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
     with output_file(output, overwrite=overwrite) as part:
         made, _ = records_and_scan(settings)
         write_netcdf(made, part)
-    click.echo(f"{made.sizes['record']} records in {output}")
+    ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
+    click.echo(f"{made.sizes['record']} records{ranges} in {output}")
     exit_if_doubtful(made)
 
 

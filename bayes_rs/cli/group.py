@@ -7,10 +7,13 @@ import importlib
 import click
 
 from bayes_rs._version import __version__
+from bayes_rs.errors import did_you_mean
 
 COMMANDS = {
     "demo": ("data_commands:demo", "The main job on embedded data."),
-    "scans": ("data_commands:scans", "List the shipped scans, and what each sees of R."),
+    "scans": ("scan_commands:scans", "List the shipped scans and what each sees of R, or show one."),
+    "find-scan": ("scan_commands:find_scan", "Make the scan that files were measured with."),
+    "look": ("scan_commands:look", "Say what is in files, and what to type next."),
     "plan": ("data_commands:plan", "Say what a scene needs computed, and what is skipped."),
     "records": ("data_commands:records", "Make records of files of radial velocities."),
     "calibrate": ("data_commands:calibrate", "Calibrate the noise of a scan, for fit --noise."),
@@ -40,6 +43,15 @@ class LazyGroup(click.Group):
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(importlib.import_module(f"bayes_rs.cli.{module}"), name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command by its name; of one that is not there ask for the nearest."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            meant = did_you_mean(args[0], COMMANDS)
+            ctx.fail(f"No such command {args[0]!r}.{f' {meant[0].upper()}{meant[1:]}' if meant else ''}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; that nobody reads its output any more ends it with words, and click would say none."""

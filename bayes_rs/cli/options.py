@@ -12,7 +12,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
-from bayes_rs.errors import InputError, in_short
+from bayes_rs.errors import InputError, did_you_mean, in_short
+from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 
@@ -132,6 +133,20 @@ class NumberOrWord(click.ParamType):  # type: ignore[type-arg] # generic in new 
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
 
+class ListedChoice(click.Choice):  # type: ignore[type-arg] # generic in new versions of click only
+    """A text that is one of a list; another gets the nearest of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the entry of the list."""
+        try:
+            return str(super().convert(value, param, ctx))
+        except click.BadParameter as error:
+            meant = did_you_mean(value, map(str, self.choices))
+            self.fail(
+                f"{error.format_message().partition(': ')[2]} {meant[:1].upper()}{meant[1:]}".rstrip(), param, ctx
+            )
+
+
 class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
     """A text that is often, but not always, one of a list."""
 
@@ -164,6 +179,26 @@ class Range(click.ParamType):  # type: ignore[type-arg] # as above
         except ValueError:
             self.fail(f"Invalid range {value!r}: write it as FROM:TO, such as 200:340.", param, ctx)
         return start, end
+
+
+class Distances(click.ParamType):  # type: ignore[type-arg] # as above
+    """Numbers of metres with commas between them, or a word."""
+
+    name = "distances"
+
+    def __init__(self, words: Sequence[str]) -> None:
+        """Take the words that may stand for the numbers."""
+        self.words = tuple(words)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...] | str:
+        """Return the numbers, or the word."""
+        if value in self.words:
+            return str(value)
+        try:
+            return tuple(float(part) for part in value.split(","))
+        except ValueError:
+            word = f", or the word {' or '.join(self.words)}" if self.words else ""
+            self.fail(f"{value!r} must be numbers of metres with commas between them, as 80,120{word}.", param, ctx)
 
 
 def settings_options(
@@ -308,7 +343,8 @@ def field_option(entry: Option, group: str) -> FieldOption:
     container = next((kind for kind in kinds if get_origin(kind) in (tuple, Mapping, Sequence)), None)
     origin = get_origin(container)
     pair = origin is tuple and ... not in get_args(container)
-    several = container is not None and not pair
+    distances = entry.about.metavar.startswith("M,M,...")
+    several = container is not None and not pair and not distances
     attributes: dict[str, Any] = {"default": None, "help": _help(entry, several=several), "group": group}
     if entry.about.metavar:
         attributes["metavar"] = entry.about.metavar
@@ -328,6 +364,8 @@ def field_option(entry: Option, group: str) -> FieldOption:
     if not entry.about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
         attributes.setdefault("metavar", "NAME")
     kind = _type(entry, list(get_args(container)) if several else kinds)
+    if distances:
+        kind = Distances([ALL_RANGES] if str in kinds else [])
     return FieldOption(*names, multiple=several, type=kind, **attributes)
 
 
@@ -347,7 +385,7 @@ def _type(entry: Option, kinds: list[Any]) -> Any:
         return click.INT
     if not entry.about.choices:
         return click.Path() if entry.about.metavar in ("FILE", "FOLDER") else click.STRING
-    return OpenChoice(lambda: entry.choices) if entry.about.open else click.Choice(entry.choices)
+    return OpenChoice(lambda: entry.choices) if entry.about.open else ListedChoice(entry.choices)
 
 
 def _help(entry: Option, *, several: bool) -> str:

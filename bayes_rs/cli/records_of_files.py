@@ -38,12 +38,20 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     """Read records that were made before, or make them; say on stderr what was read and dropped."""
     from bayes_rs.records.record_files import open_record_files
 
+    settings = with_scan(settings)
     scan = settings.scan.load()
     made = open_record_files(settings.files.files, scan)
     if made is not None:
         refuse_for_records(settings.files.files)
         return made, scan
     return records_of(series_of(settings, scan), scan, settings), scan
+
+
+def with_scan(settings: Settings) -> Settings:
+    """Return settings whose scan is found in their files, if it is auto; say on stderr which it is."""
+    from bayes_rs.fits.found_scan import with_found_scan
+
+    return with_found_scan(settings, lambda line: click.echo(line, err=True))
 
 
 def series_of(settings: Settings, scan: Scan) -> xr.Dataset:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, Quantity, settings_of, settings_options
-from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of
+from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of, with_scan
 
 
 @click.command(cls=GroupedCommand)
@@ -66,6 +66,7 @@ def spectra(
     from bayes_rs.spectra.spectra_job import run_spectra
 
     check_output_folder(output, overwrite=overwrite, inputs=settings.files.files)
+    settings = with_scan(settings)
     scan = settings.scan.load()
     series = series_of(settings, scan)
     made = records_of(series, scan, settings)

@@ -19,6 +19,7 @@ from bayes_rs.design.scan_search import ScanSearch, SearchEnd, value_at
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan, load_scan
+from bayes_rs.geometry.scan_words import looks_up
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.models import preset_names
 from bayes_rs.options import from_plain, nearest, options_of, to_plain
@@ -262,7 +263,7 @@ def _well_known(n: int, widest: float, *, upward: bool) -> dict[str, tuple[Float
         kinds[f"two cones at {degrees}° and half of it"] = (half, phases)
     for name in () if upward else preset_names("scans"):
         preset = load_scan(name)
-        if preset.n_beam == n and not name.endswith("-planes"):
+        if preset.n_beam == n and not name.endswith("-planes") and not looks_up(preset):
             angles = np.deg2rad(beam_angles_deg(preset, n, "upwind"))
             kinds[f"{name} as shipped"] = (angles[:, 0], angles[:, 1])
     return kinds

@@ -14,11 +14,14 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
-from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
-from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
+from bayes_rs.fits.fitting import noise_section
+from bayes_rs.fits.found_scan import with_found_scan
+from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
+from bayes_rs.fits.plan import option_parts, plan_fit, version_parts, with_settings
+from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
@@ -26,6 +29,7 @@ from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
+from bayes_rs.records.ranges import each_range, scan_of_records
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
@@ -82,8 +86,10 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     """
     if not settings.files.files:
         raise InputError("No files are given: name files, folders or patterns of radial velocities, or of records.")
-    if settings.output.output is None:
+    output = settings.output.output
+    if output is None:
         raise InputError("No folder is given for the results: name one with output (--output).")
+    settings = with_found_scan(settings, say)
     scan = settings.scan.load()
     workers, client = settings.output.workers, settings.output.scheduler
     check_workers(workers, client)
@@ -99,7 +105,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
     parts = _key_parts(settings, scan, noise)
     with begin_result_folder(
-        settings.output.output,
+        output,
         key=digest(parts),
         key_parts=parts,
         resume=settings.output.resume,
@@ -112,6 +118,16 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
             about |= read
         for line in describe_report(records):
             say(line)
+        at_ranges = scan_of_records(records, scan)
+        if isinstance(at_ranges, RangedScan):
+            check_no_noise(noise, at_ranges)
+            records = each_range(
+                records, at_ranges, lambda part, one: add_motion(part, one, settings.records, settings.files)
+            )
+            sections = _other_sections(settings, None)
+            job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
+            fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)
+            return open_fit(output)
         records = add_motion(records, scan, settings.records, settings.files)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
         inputs = fit_inputs(records, noise, settings.noise)
@@ -120,7 +136,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
             plan = plan_fit(records, scan, found, options, inputs=inputs, in_folder=True)
         plan = with_settings(plan, **_other_sections(settings, noise))
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
-    return open_fit(settings.output.output)
+    return open_fit(output)
 
 
 def _read(

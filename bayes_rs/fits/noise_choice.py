@@ -10,10 +10,11 @@ from typing import Any, cast
 import numpy as np
 import xarray as xr
 
+from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.block_checks import unsteady_records, with_block_checks
 from bayes_rs.fits.fit_options import USUAL_TURBULENCE, FitOptions, NoiseOptions
-from bayes_rs.fits.uncertain_length import length_range
+from bayes_rs.fits.uncertain_length import NODES, length_range
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
@@ -58,6 +59,20 @@ def fit_inputs(records: xr.Dataset, noise: Noise | None, choice: NoiseOptions) -
     said = {name: records.attrs[name] for name in _SAID if name in records.attrs}
     made = [NOISE_VERSION, to_plain(choice), load_turbulence(choice.flow)] if noise is None else noise
     return {"noise": made, "records": [variables, said]}
+
+
+def with_median_length_scale(
+    options: FitOptions, choice: NoiseOptions, records: xr.Dataset, noise: Noise | None
+) -> FitOptions:
+    """Return options whose uncertain length scale has a median: that of the turbulence, if no one says another."""
+    uncertain = options.nuisances
+    known = uncertain.length_scale is not None or "length_scale" in records
+    if uncertain.length_scale_sd == 0.0 or known or noise is not None or choice.of_records:
+        return options
+    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - seldom needed
+
+    median = load_turbulence(choice.flow).length_scale
+    return replace(options, nuisances=replace(uncertain, length_scale=median))
 
 
 def noise_and_records(
@@ -170,7 +185,14 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
         length_scale=_length_scales(records, options.nuisances),
         tolerance=OWN_TOLERANCE if LENGTH_REPORT in records.attrs else None,
     )
-    say(noise.in_words(records["wind_speed"].values, np.deg2rad(records["yaw"].values)))
+    say(
+        noise.in_words(
+            records["wind_speed"].values,
+            np.deg2rad(records["yaw"].values),
+            length_scale=_lengths_of_records(records, options.nuisances),
+            gamma=records["gamma"].values if "gamma" in records else None,
+        )
+    )
     return noise
 
 
@@ -180,6 +202,19 @@ def about_probe(noise: Noise, records: xr.Dataset) -> str:
         return ""
     own = records["length_scale"].values if "length_scale" in records else None
     return probe_words(noise, records["wind_speed"].values, np.deg2rad(records["yaw"].values), own)
+
+
+def _lengths_of_records(records: xr.Dataset, nuisances: Nuisances) -> FloatArray | None:
+    """Return L, m, at the nodes that the noise of each record is averaged over, (n_node, n_record); None if unknown."""
+    median = records.get("length_scale")
+    factors = np.ones(1)
+    if nuisances.length_scale_sd > 0.0:
+        factors = nuisances.length_scale_nodes()[0]
+        if nuisances.length_scale is not None:
+            median = xr.full_like(records["wind_speed"], nuisances.length_scale)
+    elif nuisances.length_scale_sd_of_records and "length_scale_log_sd" in records:
+        factors = np.exp(NODES[:, np.newaxis] * np.nan_to_num(records["length_scale_log_sd"].values))
+    return None if median is None else np.asarray(median.values * factors.reshape(len(factors), -1), dtype=np.float64)
 
 
 def _length_scales(records: xr.Dataset, nuisances: Nuisances) -> list[float] | None:

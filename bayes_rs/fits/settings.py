@@ -31,6 +31,8 @@ from bayes_rs.records.record_options import RecordOptions
 if TYPE_CHECKING:
     from bayes_rs.geometry.scan import Scan
 
+AUTO = "auto"
+"""The scan that is found in the files."""
 RUN_SUFFIX = ".json"
 """How the names of files end that are taken for the `run.json` of a run."""
 
@@ -48,7 +50,8 @@ class ScanOptions:
 
     scan: str | None = option(
         None,
-        "A name that bayes-rs scans lists, or a TOML file; changes follow an @, as in zx-tm@probe=point",
+        "A name that bayes-rs scans lists, or a TOML file; changes follow an @, as in zx-tm@probe=point; auto finds it "
+        "in files whose rays say where they point",
         choices="bayes_rs.models:SCANS",
         open=True,
     )
@@ -60,9 +63,21 @@ class ScanOptions:
         None, "Another tilt; positive raises the beams that point upwind", unit="degrees", flag="--tilt"
     )
     yaw_deg: float | None = option(None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw")
+    scan_group: int | None = option(
+        None, "With scan auto: which scan of the files it is, where they hold several; bayes-rs find-scan lists them"
+    )
     scan_toml: str | None = option(
         None, "The text of the scan's file: it counts where the name does not mean the same scan", flag=""
     )
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        if self.scan_group is not None:
+            check_count(self.scan_group, what="scan_group")
+            if self.scan not in (None, AUTO):
+                raise InputError(
+                    f"Invalid scan_group with scan {self.scan!r}: it is of scan auto (--scan auto); leave it out."
+                )
 
     def load(self) -> Scan:
         """Return the scan.
@@ -83,6 +98,10 @@ class ScanOptions:
         if self.scan_toml is None:
             if self.scan is None:
                 raise InputError("No scan is given: name one with scan (--scan), such as zx-tm or a TOML file.")
+            if self.scan == AUTO:
+                raise InputError(
+                    "Scan auto is found in files of rays, and there are none here: name a scan or its file."
+                )
             return load_scan(self.scan, **mounted)
         kept = load_scan_text(self.scan_toml, name=self.scan or "scan")
         if self.scan is not None:

@@ -156,6 +156,7 @@ class _PulsedProbe(Table):
 class _ScanFile(Table):
     title: Text
     source: Text
+    aliases: list[Text] = Field(default_factory=list)  # other names of a preset, see `bayes_rs.models.find_model`
     beams: Annotated[_ConeBeams | _RosetteBeams | _ListedBeams, Field(discriminator="pattern")]
     timing: _Timing
     mounting: _Mounting = _Mounting()
@@ -218,8 +219,8 @@ def load_scan(
     Parameters
     ----------
     name : str or Path
-        Name of a preset, or path of a ``.toml`` file; behind an ``@`` it may carry the changes below, as in
-        ``"zx-300@focus_distance=49+98,probe=point"``.
+        Name or alias of a preset, as ``"windcube-nacelle"``, or path of a ``.toml`` file; behind an ``@`` it may carry
+        the changes below, as in ``"zx-300@focus_distance=49+98,probe=point"``.
     opening_angle_deg : float, optional
         Another half-cone opening angle, degrees; for a rosette its largest one.
     focus_distance : float or sequence of float, optional
@@ -258,6 +259,8 @@ def load_scan(
     if centre is not None:
         check_switch(centre, what="centre")
     base, changes = split_changes(name)
+    if base == "auto":
+        raise InputError("Scan auto is found in files of rays, and there are none here: name a scan or its file.")
     if changes:
         given = _given(
             opening_angle_deg=opening_angle_deg,
@@ -286,7 +289,10 @@ def load_scan(
         "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
     }
     spec = _validate(table, path, {part: values for part, values in new.items() if values})
-    scan = _build(path.stem, spec, _file_format(spec.file, path))
+    file_format = _file_format(spec.file, path)
+    if focus_distance is not None:
+        file_format.pop("range", None)  # who gives the distance does not want all that the files have
+    scan = _build(path.stem, spec, file_format)
     return scan if probe is None else replace(scan, probe=as_probe(probe))
 
 
@@ -356,6 +362,7 @@ def _read_table(path: Path, deeper: int = 0) -> dict[str, Any]:
         )
     base_path = path.parent / f"{name}.toml"
     base = _read_table(base_path if base_path.is_file() else find_model(name, "scans"), deeper + 1)
+    base.pop("aliases", None)
     if isinstance(table.get("probe"), dict) and "kind" in table["probe"]:
         base.pop("probe", None)  # the lengths of one kind mean nothing to another
     return _merge(base, {key: value for key, value in table.items() if key != "base"})

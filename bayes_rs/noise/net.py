@@ -94,8 +94,9 @@ def refined_noise(
     Returns
     -------
     noise : Noise
-        Its details hold ``interpolation_error``, the largest ‖δK‖/‖K‖ (Frobenius) against theory in the middle of every
-        cell, ``interpolation_error_beams`` and ``interpolation_tolerance``.
+        Its details hold ``interpolation_errors``, ‖δK‖/‖K‖ (Frobenius) against theory in the middle of every cell of
+        the net, the last axis fastest; ``interpolation_error``, the largest of them; ``interpolation_error_beams`` and
+        ``interpolation_tolerance``.
 
     Raises
     ------
@@ -135,11 +136,12 @@ def refined_noise(
         found, _ = from_cache(file, key)
         if found is not None:
             return renamed(found, scan, turbulence)
-    axes, error = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
+    axes, errors = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
     states = _Theory(scan, turbulence, duration, progress, sonic=sonic).states(_points(axes))
     noise = with_details(
         Noise.join(states),
-        interpolation_error=error,
+        interpolation_error=float(np.max(errors)),
+        interpolation_errors=[float(f"{error:.3g}") for error in errors],
         interpolation_error_beams=count,
         interpolation_tolerance=tolerance,
         key=key,
@@ -181,7 +183,7 @@ def measure_interpolation(noise: Noise, scan: Scan, *, progress: bool | None = N
     between = noise.for_records(
         np.exp(middle[:, 0]), np.deg2rad(middle[:, 1]), length_scale=np.exp(middle[:, 2]), gamma=middle[:, 3]
     )
-    return _largest(between.covariance, truth)
+    return float(np.max(_distance(between.covariance, truth)))
 
 
 class _Theory:
@@ -221,38 +223,37 @@ class _Theory:
         return replace(self.turbulence, length_scale=round(length_scale, 6), gamma=gamma)
 
 
-def _refined(theory: _Theory, ranges: list[FloatArray], tolerance: float) -> tuple[list[FloatArray], float]:
-    """Return the axes of the coarsest net that keeps the tolerance, and its error."""
+def _refined(theory: _Theory, ranges: list[FloatArray], tolerance: float) -> tuple[list[FloatArray], FloatArray]:
+    """Return the axes of the coarsest net that keeps the tolerance, and its error in the middle of each cell."""
     halvings = [0] * len(_AXES)
     while True:
         axes = [_nodes(axis, span, halved) for axis, span, halved in zip(_AXES, ranges, halvings, strict=True)]
-        error = _error(theory, axes, _points(_middles(axes)))
-        if error <= tolerance:
-            return axes, error
+        errors = _errors(theory, axes, _points(_middles(axes)))
+        if np.max(errors) <= tolerance:
+            return axes, errors
         trials = []
         for index, axis in enumerate(axes):
             between = [*axes[:index], _middles([axis])[0], *axes[index + 1 :]]
-            trials.append(_error(theory, axes, _points(between)) if len(axis) > 1 else -1.0)
+            trials.append(float(np.max(_errors(theory, axes, _points(between)))) if len(axis) > 1 else -1.0)
         worst = int(np.argmax(trials))
         size = np.prod([2 * len(axis) - 1 if index == worst else len(axis) for index, axis in enumerate(axes)])
         if size > _MOST_STATES:
-            return axes, error
+            return axes, errors
         halvings[worst] += 1
 
 
-def _error(theory: _Theory, axes: list[FloatArray], points: FloatArray) -> float:
-    """Return the largest relative error of K that a net has at points."""
+def _errors(theory: _Theory, axes: list[FloatArray], points: FloatArray) -> FloatArray:
+    """Return the relative error of K that a net has at points."""
     nodes = _points(axes)
     net = find_net(nodes)
     if net is None:  # one state
-        return 0.0
+        return np.zeros(len(points))
     between, _ = interpolate_covariance(theory.covariances(nodes), net.weights(points)[0])
-    return _largest(between, theory.covariances(points))
+    return _distance(between, theory.covariances(points))
 
 
-def _largest(have: FloatArray, want: FloatArray) -> float:
-    off = np.linalg.norm(have - want, axis=(-2, -1)) / np.linalg.norm(want, axis=(-2, -1))
-    return float(np.max(off))
+def _distance(have: FloatArray, want: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(have - want, axis=(-2, -1)) / np.linalg.norm(want, axis=(-2, -1)))
 
 
 def _nodes(axis: _Axis, span: FloatArray, halvings: int) -> FloatArray:

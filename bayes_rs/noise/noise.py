@@ -549,18 +549,30 @@ class Noise:
             [gain - design_matrix(direction @ yaw_matrix(yaw)) for gain, yaw in zip(self.gain, self.yaw, strict=True)]
         )
 
-    def in_words(self, wind_speed: ArrayLike | None = None, yaw: ArrayLike | None = None) -> str:
+    def in_words(
+        self,
+        wind_speed: ArrayLike | None = None,
+        yaw: ArrayLike | None = None,
+        *,
+        length_scale: ArrayLike | None = None,
+        gamma: ArrayLike | None = None,
+    ) -> str:
         """Say which noise it is, how well it is interpolated, and how many records are outside it.
 
         Parameters
         ----------
         wind_speed, yaw : array_like, shape (n_record,), optional
             Mean wind speeds of records, m/s, and their directions, rad; those that are not known are left out.
+        length_scale : array_like, shape (n_record,) or (n, n_record), optional
+            Length scales of the records, m; n of them where their noise is averaged over as many.
+        gamma : array_like, shape (n_record,), optional
+            Their anisotropies. Without what `for_records` needs, the error is that of the worst place of the net.
 
         Returns
         -------
         words : str
-            One line.
+            One line. The error of the interpolation is that of the cells of the net that hold records, where it was
+            measured cell by cell.
         """
         origin = self.details.get("origin")
         words = (
@@ -568,24 +580,51 @@ class Noise:
             f"state{'s' * (len(self) > 1)} ({_span(self.wind_speed)} m/s, yaw {_span(np.rad2deg(self.yaw))}°, "
             f"L {_span(self.length_scale)} m)"
         )
+        speed, angle = (np.asarray([] if one is None else one, dtype=np.float64) for one in (wind_speed, yaw))
+        known = np.isfinite(speed) & np.isfinite(angle) & (speed > 0.0)
         if self.net is not None:
-            error = self.interpolation_error
-            words += "; interpolated, with an error " + (
-                "not measured" if error is None else f"of {100.0 * error:.2g} %"
-            )
+            words += f"; interpolated, with an error {self._error_in_words(speed, angle, known, length_scale, gamma)}"
         elif len(self) > 1:
             words += "; each record uses the nearest"
         if self.has_sonic:
             words += "; with the moments of a sonic"
         if wind_speed is None or yaw is None:
             return words
-        speed, angle = np.asarray(wind_speed, dtype=np.float64), np.asarray(yaw, dtype=np.float64)
-        known = np.isfinite(speed) & np.isfinite(angle) & (speed > 0.0)
         n_outside = int(np.count_nonzero(self.locate(speed[known], angle[known])[2])) if known.any() else 0
         if n_outside:
             nearest = "edge" if self.net is not None else "nearest state"
             words += f"; {n_outside} of {np.count_nonzero(known)} records are outside and use its {nearest}"
         return words
+
+    def _error_in_words(
+        self,
+        speed: FloatArray,
+        yaw: FloatArray,
+        known: NDArray[np.bool_],
+        length_scale: ArrayLike | None,
+        gamma: ArrayLike | None,
+    ) -> str:
+        """Say how well records are interpolated, or if that is not known, how well the worst that there may be."""
+        error = self.interpolation_error
+        if error is None or self.net is None:
+            return "not measured"
+        by_cell = np.asarray(self._details_of(0).get("interpolation_errors", []), dtype=np.float64)
+        n_cell = np.prod([max(len(axis) - 1, 1) for axis in self.net.axes])
+        lengths = np.atleast_2d(self._or_own(length_scale, self.length_scale))
+        anisotropy = self._or_own(gamma, self.gamma)
+        there = known & np.isfinite(lengths) & np.isfinite(anisotropy)
+        if by_cell.shape != (n_cell,) or not there.any():
+            return f"of at most {100.0 * error:.2g} %"
+        of_all = np.broadcast_arrays(speed, yaw, lengths, anisotropy)
+        cell = self.net.cells(self.states.points(*(one[there] for one in of_all)))
+        return f"of {100.0 * np.max(by_cell[cell]):.2g} % at the records"
+
+    @staticmethod
+    def _or_own(given: ArrayLike | None, own: FloatArray) -> FloatArray:
+        """Return what records have of L or Γ, or what all states have; NaN where neither is known."""
+        if np.ptp(own) == 0.0:
+            return own[:1]
+        return np.asarray(np.nan if given is None else given, dtype=np.float64)
 
     def to_dataset(self, *, single_precision: bool = False) -> xr.Dataset:
         """Return the noise as a Dataset with dimension ``state``.

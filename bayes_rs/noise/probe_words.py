@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,6 +9,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.probe import make_probe
 from bayes_rs.geometry.scan import yaw_matrix
+from bayes_rs.geometry.scan_words import probe_in_words
 from bayes_rs.models import preset_names
 from bayes_rs.noise.noise import Noise
 
@@ -51,10 +49,8 @@ def probe_words(noise: Noise, wind_speed: ArrayLike, yaw: ArrayLike, length_scal
     change = f"{noise.scan_name}{',' if at else '@'}probe=point"
     how = f"--scan {change}" if name in preset_names("scans") else "@probe=point behind the name of its file"
     part = _span(loss.ravel())
-    return (
-        f"probe volume: {_size(geometry['probe'], geometry['focus_distance'])}; it takes {part} % of the beams' "
-        f"variances; {how} counts the beams as points"
-    )
+    size = probe_in_words(make_probe(**geometry["probe"]), np.asarray(geometry["focus_distance"], dtype=np.float64))
+    return f"probe volume: {size}; it takes {part} % of the beams' variances; {how} counts the beams as points"
 
 
 def probe_loss(
@@ -87,14 +83,6 @@ def probe_loss(
     stresses = noise.turbulence.stresses()
     points = design_matrix(direction @ yaw_matrix(np.asarray(yaw, dtype=np.float64)))
     return np.asarray(1.0 - (gain @ stresses) / (points @ stresses))
-
-
-def _size(probe: Mapping[str, Any], focus_distance: Sequence[float]) -> str:
-    made = make_probe(**probe)
-    if probe["kind"] == "continuous-wave":
-        focus = np.asarray(focus_distance, dtype=np.float64)
-        return f"{made.kind}, Rayleigh length {_span(made.length(focus))} m at {_span(focus)} m"
-    return f"{made.kind}, gate of {probe['gate_length']:g} m and {probe['pulse']} pulse of {probe['pulse_length']:g} m"
 
 
 def _span(values: FloatArray) -> str:

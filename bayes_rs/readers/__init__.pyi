@@ -5,6 +5,10 @@ from .reading import FileOptions as FileOptions
 from .reading import read as read
 from .registry import READERS as READERS
 from .samples import Samples as Samples
+from .sorting import ScanGroup as ScanGroup
+from .sorting import SortedFiles as SortedFiles
+from .sorting import sort_files as sort_files
 from .streaming import stream as stream
 from .survey import find_scan as find_scan
+from .toa5 import read_sonic as read_sonic
 from .zx import read_statistics as read_statistics

@@ -27,6 +27,7 @@ class FileFormat(FileOptions):
     time_zone: str = "UTC"
     separator: str = ","
     decimal: str = "."
+    skip_rows: int = 0
     angle_tolerance_deg: float = 1.0
     phase_zero_deg: float = 0.0
     phase_turns: str = "up"

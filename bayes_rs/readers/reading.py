@@ -18,7 +18,9 @@ from bayes_rs.options import from_plain
 from bayes_rs.readers.ahead import read_ahead
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.one_file import SUFFIXES, read_file
+from bayes_rs.readers.ranged_series import with_ranges
 from bayes_rs.readers.registry import FORMATS
 from bayes_rs.readers.samples import FilesReport, Samples, check_order, join_samples, no_sample, none_read
 
@@ -50,10 +52,11 @@ def read(
     -------
     series : xarray.Dataset
         ``radial_velocity`` (sample), m/s, positive away from the lidar, NaN where missing; coordinates ``time``
-        (sample), UTC, and ``beam`` (sample), the scan's beam numbers; ``cnr`` (sample), dB, and ``status`` (sample)
-        where the files have them. Sorted by time, then beam. ``attrs["read_report"]`` counts in JSON what was read
-        and dropped, and says for each file its format, the options it was read with, and which of them are the
-        format's own defaults.
+        (sample), UTC, and ``beam`` (sample), the scan's beam numbers; with the options ``range`` or ``height``, or a
+        scan whose table asks for all ranges, also ``range`` (sample), m, the distance along the beam; ``cnr`` (sample),
+        dB, and ``status`` (sample) where the files have them. Sorted by time, then beam. ``attrs["read_report"]``
+        counts in JSON what was read and dropped, and says for each file its format, the options it was read with, and
+        which of them are the format's own defaults.
 
     Raises
     ------
@@ -84,15 +87,16 @@ def read(
     of_scan = as_scan(scan)
     chosen = checked_options(options, of_scan)
     found = find_files(files, SUFFIXES)
+    at_ranges = scan_at_ranges(found.paths, of_scan, chosen)
     parts: list[Samples] = []
     skipped: list[dict[str, str]] = []
-    for file, samples in _in_order(found.paths, of_scan, chosen, check_count(workers, what="workers")):
+    for file, samples in _in_order(found.paths, at_ranges, chosen, check_count(workers, what="workers")):
         try:
             if isinstance(samples, Exception):
                 raise samples
-            part = samples or read_file(file, of_scan, chosen)
+            part = samples or read_file(file, at_ranges, chosen)
             if len(part.time) == 0:
-                raise no_sample(file, part.counts.get("rows", 0))
+                raise no_sample(file, part.counts.get("rows", 0), part.counts.get("rows_cut", 0))
             if part.file_format.out_of_order == "error":
                 check_order(part)
         except InputError as error:
@@ -103,7 +107,8 @@ def read(
             parts.append(part)
     if not parts:
         raise none_read(len(skipped), skipped[0]["reason"])
-    return join_samples(parts, of_scan, report=FilesReport(skipped=skipped, passed_over=found.passed_over))
+    report = FilesReport(skipped=skipped, passed_over=found.passed_over)
+    return with_ranges(join_samples(parts, at_ranges, report=report), at_ranges)
 
 
 def _in_order(

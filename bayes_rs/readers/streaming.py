@@ -16,8 +16,11 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.quality.samples import ends_by_beam
 from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.one_file import SUFFIXES, read_pieces
+from bayes_rs.readers.ranged_series import with_ranges
 from bayes_rs.readers.reading import checked_options
 from bayes_rs.readers.samples import (
     FilesReport,
@@ -102,6 +105,7 @@ def stream(
     if window == 0:
         raise InputError(f"Invalid period {period!r} s: it must be at least a nanosecond.")
     found = find_files(files, SUFFIXES)
+    of_scan = scan_at_ranges(found.paths, of_scan, chosen)
     merged = _Merge(of_scan, chosen, n_row, dict(found.passed_over))
     return merged.series(found.paths, window)
 
@@ -115,7 +119,7 @@ def series_of_read(
         for part in parts:
             if part.file_format.out_of_order == "error":
                 check_order(part)
-        yield join_samples(parts, scan)
+        yield with_ranges(join_samples(parts, scan), scan)
         return
     merged = _Merge(scan, options, chunk_rows, {}, kept={part.file: part for part in parts})
     yield from merged.series([part.file for part in parts], None)
@@ -129,6 +133,7 @@ class _Source:
     pieces: Iterator[Samples]
     reached: np.datetime64 = _EVER
     n_row: int = 0
+    n_cut: int = 0
     latest: dict[int, np.datetime64] = field(default_factory=dict)
 
 
@@ -201,7 +206,7 @@ class _Merge:
             part = next(source.pieces, None)
             if part is None:
                 if not source.latest:
-                    raise no_sample(source.file, source.n_row)
+                    raise no_sample(source.file, source.n_row, source.n_cut)
                 return False
             if part.file_format.out_of_order == "error":
                 check_order(part)
@@ -211,6 +216,7 @@ class _Merge:
             self._skip(source.file, error)
             return False
         source.n_row += part.counts.get("rows", 0)
+        source.n_cut += part.counts.get("rows_cut", 0)
         self.held.append(replace(part, out_of_order=out_of_order))
         if len(part.time):
             source.reached = max(source.reached, part.time.max())
@@ -224,12 +230,12 @@ class _Merge:
                 f"Time goes backwards in {part.where(index)}: {as_utc(part.time[index])} comes after "
                 f"{as_utc(self.given_out)}, which was given out; sort the file by time, or give a larger chunk_rows."
             )
-        for beam in np.unique(part.beam).tolist():
-            of_beam = np.flatnonzero(part.beam == beam)
+        for beam, (begin, end) in ends_by_beam(part.time.astype(np.int64), part.beam).items():
+            first, last = np.datetime64(begin, "ns"), np.datetime64(end, "ns")
             before = source.latest.get(beam)
-            if before is not None and part.file_format.out_of_order == "error" and part.time[of_beam[0]] < before:
-                raise time_goes_backwards(part, int(of_beam[0]), before, "in the rows above")
-            last = part.time[of_beam].max()
+            if before is not None and part.file_format.out_of_order == "error" and first < before:
+                index = int(np.argmax(part.beam == beam))
+                raise time_goes_backwards(part, index, before, "in the rows above")
             source.latest[beam] = last if before is None else max(before, last)
 
     def _give_out(self, until: np.datetime64, window: int | None) -> xr.Dataset | None:
@@ -254,7 +260,7 @@ class _Merge:
         self.held, self.given_out = later, until
         report = FilesReport(skipped=self.skipped, passed_over=self.passed_over)
         self.skipped, self.passed_over = [], dict.fromkeys(self.passed_over, 0)
-        return join_samples(ready, self.scan, report=report)
+        return with_ranges(join_samples(ready, self.scan, report=report), self.scan)
 
     def _skip(self, file: Path, error: InputError) -> None:
         if self.options.on_bad_file == "error":

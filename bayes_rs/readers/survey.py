@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from bayes_rs._validation import FloatArray, check_choice, check_finite, check_positive
+from bayes_rs._validation import FloatArray, check_count, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.options import from_plain
-from bayes_rs.readers.compressed import plain_file, plain_suffix
-from bayes_rs.readers.folders import find_files
-from bayes_rs.readers.format import resolve_format
+from bayes_rs.readers.directions import common_directions
 from bayes_rs.readers.matching import directions_in_words, gates_in_words, nearest_gates
-from bayes_rs.readers.rays import Rays, angles_of
-from bayes_rs.readers.registry import READERS
+from bayes_rs.readers.rays import angles_of
+from bayes_rs.readers.sorting import ScanGroup, SortedFiles, sort_surveyed
+from bayes_rs.readers.surveyed import SurveyedFile, survey_files
 
-RAY_READERS = {name: reader for name, reader in READERS.items() if reader.rays is not None}
-"""The formats whose rays say where they point."""
-
-_GRID = 20  # steps of the tolerance; directions nearer than one are compared once
 _REGULAR = 0.2  # share by which a direction's median revisit may differ from the cycle
 _TIME_DIGITS = 3  # of seconds; a median over rays knows no more
+_MOST_GROUPS = 5  # scans that a message lists
+_MOST_GATES = 12  # distances that are listed where none was asked for
 
 
 class _Found(NamedTuple):
@@ -41,6 +36,34 @@ class _Found(NamedTuple):
     spread_deg: float
 
 
+@dataclass(frozen=True)
+class Survey:
+    """What a survey of files finds: a scan, and what there is beside it.
+
+    Parameters
+    ----------
+    scan : Scan
+        The scan.
+    files : tuple of Path
+        The files that it was found in, as they were named.
+    found : SortedFiles
+        All scans of the files, and the files that cannot be read.
+    chosen : int
+        Which of them it is.
+    dropped : tuple of str
+        What of its own files does not count, a line each.
+    n_ray : tuple of int
+        Rays of each beam.
+    """
+
+    scan: Scan
+    files: tuple[Path, ...]
+    found: SortedFiles
+    chosen: int
+    dropped: tuple[str, ...]
+    n_ray: tuple[int, ...]
+
+
 def find_scan(
     files: str | Path | Sequence[str | Path],
     *,
@@ -48,6 +71,7 @@ def find_scan(
     distance: float | Sequence[float] | None = None,
     tolerance_deg: float = 1.0,
     min_share: float = 0.2,
+    group: int | None = None,
     name: str | None = None,
     probe: Probe | None = None,
     **options: Any,
@@ -61,12 +85,15 @@ def find_scan(
     height : float or sequence of float, optional
         Wanted height above the lidar, m: each beam gets the gate nearest to it. Several give a plane of beams each.
     distance : float or sequence of float, optional
-        Wanted distance along the beams, m, instead of a height.
+        Wanted distance along the beams, m, instead of a height. Rays with one gate need neither.
     tolerance_deg : float
         Rays that are closer than this, degrees, have one direction.
     min_share : float
         Directions with fewer rays than this share, 0 to 1, of the most frequent one are dropped: the scanner was
         on its way.
+    group : int, optional
+        Which scan of the files it is, where they hold several, as `bayes_rs.readers.sort_files` lists them, from 1.
+        By default the only one that has beams.
     name : str, optional
         Name of the scan; that of the first file if not given.
     probe : Probe, optional
@@ -85,8 +112,8 @@ def find_scan(
     Raises
     ------
     InputError
-        If no file is of such a format, directions run into each other or are seen only once, rays stay on one
-        direction before they go to the next, or no gate is at a wanted height.
+        If no file is of such a format, the files hold several scans with beams, directions run into each other or are
+        seen only once, rays stay on one direction before they go to the next, or no gate is at a wanted height.
 
     Notes
     -----
@@ -117,53 +144,92 @@ def find_scan(
     >>> scan.focus_distance, scan.beam_time, scan.scan_duration
     (array([120., 120., 120.]), array([0., 1., 2.]), 3.0)
     """
+    return survey(
+        files,
+        height=height,
+        distance=distance,
+        tolerance_deg=tolerance_deg,
+        min_share=min_share,
+        group=group,
+        name=name,
+        probe=probe,
+        **options,
+    ).scan
+
+
+def survey(
+    files: str | Path | Sequence[str | Path],
+    *,
+    height: float | Sequence[float] | None = None,
+    distance: float | Sequence[float] | None = None,
+    tolerance_deg: float = 1.0,
+    min_share: float = 0.2,
+    group: int | None = None,
+    name: str | None = None,
+    probe: Probe | None = None,
+    any_gate: bool = False,
+    **options: Any,
+) -> Survey:
+    """Return what `find_scan` finds, with all that is beside it in the files; at any gate if it does not matter."""
     wanted, what = _wanted(height, distance)
     tolerance = check_positive(tolerance_deg, what="tolerance_deg", unit="degrees")
     share = check_finite(min_share, what="min_share", unit="")
     if not 0.0 <= share <= 1.0:
         raise InputError(f"Invalid min_share {min_share!r}: it must be from 0 to 1.")
-    asked = from_plain(FileOptions, options, where="the options of reading")
-    check_choice(asked.file_format, ("auto", *RAY_READERS), what="file_format")
-    suffixes = [suffix for reader in RAY_READERS.values() for suffix in reader.suffixes]
-    paths = find_files(files, suffixes).paths
-    parts = [_rays(path, asked) for path in paths]
-    time, direction, gates = _join(parts)
-    found = _directions(direction, tolerance, paths)
-    most = max(len(group.rays) for group in found)
-    kept = [group for group in found if len(group.rays) >= share * most]
-    dropped = [group for group in found if len(group.rays) < share * most]
+    surveyed, skipped = survey_files(files, from_plain(FileOptions, options, where="the options of reading"))
+    groups = sort_surveyed(surveyed, tolerance)
+    found = SortedFiles(tuple(one for one, _ in groups), skipped)
+    number = _chosen(found.groups, group)
+    own = surveyed if number is None or len(groups) == 1 else [file for file in surveyed if file in groups[number][1]]
+    paths = [file.path for file in own]
+    time, direction, gates = _join(own)
+    every = _directions(direction, tolerance, paths)
+    most = max(len(one.rays) for one in every)
+    kept = [one for one in every if len(one.rays) >= share * most]
+    rare = [one for one in every if len(one.rays) < share * most]
+    if not wanted and any_gate:
+        wanted, what = _nearest_gate(kept, gates)
+    elif not wanted:
+        wanted = [_only_gate(kept, gates)]
     kept, beam_time, duration, irregular = _timing(kept, time, tolerance, paths)
-    focus = np.array([[_focus(group, gates, goal, what, paths) for group in kept] for goal in wanted])
+    focus = np.array([[_focus(one, gates, goal, what, paths) for one in kept] for goal in wanted])
     _check_planes(focus, kept, wanted, what)
-    n_plane, n_ray = len(wanted), sum(len(group.rays) for group in kept)
+    n_plane, n_ray = len(wanted), sum(len(one.rays) for one in kept)
+    n_rays = [len(one.rays) for one in kept] * n_plane
     files_in_words = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more files"
-    source = f"{n_ray} rays of {files_in_words}, each within {max(group.spread_deg for group in kept):.2g} degrees"
-    if dropped:
-        other = np.array([group.direction for group in dropped])
-        source += (
-            f"; dropped {sum(len(group.rays) for group in dropped)} rays in rare directions (azimuth, elevation): "
+    dropped = []
+    if rare:
+        other = np.array([one.direction for one in rare])
+        dropped.append(
+            f"dropped {sum(len(one.rays) for one in rare)} rays in rare directions (azimuth, elevation): "
             f"{directions_in_words(other)}"
         )
-    lost = len(time) - sum(len(group.rays) for group in found)
-    source += f"; dropped {lost} rays without a time or a direction" if lost else ""
-    source += f"; not visited once in each cycle: {directions_in_words(irregular)}" if len(irregular) else ""
-    return Scan(
+    lost = len(time) - sum(len(one.rays) for one in every)
+    dropped += [f"dropped {lost} rays without a time or a direction"] if lost else []
+    if len(irregular):
+        dropped.append(f"not visited once in each cycle: {directions_in_words(irregular)}")
+    spread = max(one.spread_deg for one in kept)
+    scan = Scan(
         name=name or paths[0].name.split(".")[0],
         title=f"{len(kept)} directions found in measured rays",
-        source=source,
-        beam_direction=np.tile(np.array([group.direction for group in kept]), (n_plane, 1)),
+        source="; ".join([f"{n_ray} rays of {files_in_words}, each within {spread:.2g} degrees", *dropped]),
+        beam_direction=np.tile(np.array([one.direction for one in kept]), (n_plane, 1)),
         focus_distance=focus.ravel(),
         beam_time=np.tile(beam_time, n_plane),
         scan_duration=duration,
         probe=probe or PointProbe(),
     )
+    return Survey(scan, tuple(paths), found, 0 if number is None else number, tuple(dropped), tuple(n_rays))
 
 
 def _wanted(
     height: float | Sequence[float] | None, distance: float | Sequence[float] | None
 ) -> tuple[list[float], str]:
-    if (height is None) == (distance is None):
+    """Return the wanted heights or distances, none if none was given, and which of the two they are."""
+    if height is not None and distance is not None:
         raise InputError("Give height or distance (m), one of the two: they say which gates the beams take.")
+    if height is None and distance is None:
+        return [], "distance"
     what, given = ("height", height) if height is not None else ("distance", distance)
     goals = [check_positive(goal, what=what, unit="m") for goal in np.atleast_1d(np.asarray(given)).tolist()]
     if not goals:
@@ -171,65 +237,96 @@ def _wanted(
     return goals, what
 
 
-def _rays(path: Path, options: FileOptions) -> Rays:
-    kind = options.file_format
-    nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
-    with plain_file(path) as plain:
-        try:
-            for name, reader in RAY_READERS.items():
-                resolved = resolve_format(options, None, defaults=reader.defaults)
-                fits = plain_suffix(plain) in reader.suffixes
-                if name == kind or (kind == "auto" and fits and reader.recognises(plain, nothing, resolved)):
-                    return reader.rays(plain, resolved)  # type: ignore[misc]  # those of RAY_READERS are not None
-        except InputError as error:
-            raise InputError(str(error).replace(repr(str(plain)), repr(str(path)))) from error
+def _chosen(groups: Sequence[ScanGroup], group: int | None) -> int | None:
+    """Return which of the scans of files is meant; None for all files, which hold nothing but stares."""
+    if group is not None:
+        number = check_count(group, what="group")
+        if number > len(groups):
+            raise InputError(f"Invalid group {number}: the files hold {len(groups)}: {_listed(groups)}.")
+        return number - 1
+    if len(groups) == 1:
+        return 0
+    with_beams = [number for number, one in enumerate(groups) if one.kind == "beams"]
+    if len(with_beams) == 1:
+        return with_beams[0]
+    if all(one.kind == "stare" for one in groups):
+        return None
+    has = f"{len(with_beams)} of them have beams" if with_beams else "none of them has beams"
     raise InputError(
-        f"File {str(path)!r} is in none of the formats whose rays say where they point ({', '.join(RAY_READERS)}): "
-        "give other files, or write the scan by hand."
+        f"The files hold {len(groups)} scans, and {has}: {_listed(groups)}. Give the number of one as group "
+        "(--scan-group), or its files alone."
     )
 
 
-def _join(parts: Sequence[Rays]) -> tuple[NDArray[np.datetime64], FloatArray, FloatArray]:
+def _listed(groups: Sequence[ScanGroup]) -> str:
+    words = SortedFiles(tuple(groups[:_MOST_GROUPS]), {}).in_words()
+    return " | ".join(words) + (f" | and {len(groups) - _MOST_GROUPS} more" if len(groups) > _MOST_GROUPS else "")
+
+
+def _only_gate(groups: Sequence[_Found], gates: FloatArray) -> float:
+    """Return the distance, m, of rays with one gate; of others say which there are."""
+    own = [gates[one.rays] for one in groups]
+    there = [np.unique(np.round(part[np.isfinite(part)], 3)) for part in own]
+    if all(len(part) == 1 for part in there) and np.ptp([part[0] for part in there]) == 0.0:
+        return float(there[0][0])
+    words = "no ray has one"
+    for one, part in zip(groups, there, strict=True):
+        if len(part):
+            distances = f"distances {_some(part)} m"
+            up = float(one.direction[2])
+            heights = f", heights {_some(part * up)} m" if up > 0.0 else ""
+            words = f"in {_in_words(one)} at {distances}{heights}"
+            break
+    raise InputError(
+        "Give height or distance (m; --height, --range), one of the two: they say which gates the beams take. The "
+        "gates that are there: "
+        f"{words}."
+    )
+
+
+def _nearest_gate(groups: Sequence[_Found], gates: FloatArray) -> tuple[list[float], str]:
+    """Return the least height, or distance if not all directions rise, at which every direction has a gate."""
+    rise = [float(one.direction[2]) for one in groups]
+    what = "height" if min(rise) > 0.0 else "distance"
+    near = [np.nanmin(np.where(np.isfinite(gates[one.rays]), gates[one.rays], np.inf)) for one in groups]
+    ends = [first * (up if what == "height" else 1.0) for first, up in zip(near, rise, strict=True)]
+    return [float(max(ends))], what
+
+
+def _some(values: FloatArray) -> str:
+    """Return numbers as text, of many the first and the last."""
+    shown = [f"{value:.4g}" for value in values]
+    if len(shown) > _MOST_GATES:
+        shown = [*shown[: _MOST_GATES - 1], f"… ({len(shown)} in all)", shown[-1]]
+    return ", ".join(shown)
+
+
+def _join(parts: Sequence[SurveyedFile]) -> tuple[NDArray[np.datetime64], FloatArray, FloatArray]:
     """Return times, directions and gates of all files; gates that a file lacks are NaN."""
     n_gate = max(part.distance.shape[1] for part in parts)
-    gates = [
-        np.pad(part.distance, ((0, 0), (0, n_gate - part.distance.shape[1])), constant_values=np.nan) for part in parts
-    ]
+    gates = np.full((sum(len(part.time) for part in parts), n_gate), np.nan)
+    first = 0
+    for part in parts:
+        gates[first : first + len(part.time), : part.distance.shape[1]] = part.distance
+        first += len(part.time)
     return (
         np.concatenate([part.time for part in parts]),
-        np.concatenate([np.where(np.isnat(part.time)[:, np.newaxis], np.nan, part.direction) for part in parts]),
-        np.concatenate(gates),
+        np.concatenate([part.direction for part in parts]),
+        gates,
     )
 
 
 def _directions(direction: FloatArray, tolerance: float, paths: Sequence[Path]) -> list[_Found]:
-    """Return the directions that rays have in common: those linked by steps within the tolerance."""
-    known = np.flatnonzero(np.isfinite(direction).all(axis=1))
-    if len(known) == 0:
-        raise InputError(f"File {str(paths[0])!r} has no ray with a time and a direction: give files with rays.")
-    reach = 2.0 * np.sin(0.5 * np.deg2rad(min(tolerance, 180.0)))
-    cell, at = np.unique(np.round(direction[known] * (_GRID / reach)), axis=0, return_inverse=True)
-    total = np.stack([np.bincount(at.ravel(), weights=part) for part in direction[known].T], axis=1)
-    centre = total / np.linalg.norm(total, axis=1, keepdims=True)
-    pairs = cKDTree(centre).query_pairs(reach, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
-    label = connected_components(links, directed=False)[1][at.ravel()]
-    found = []
-    for number in range(int(label.max()) + 1):
-        rays = known[label == number]
-        mean = direction[rays].mean(axis=0)
-        length = float(np.linalg.norm(mean))
-        mean = mean / length if length > 0.0 else direction[rays[0]]
-        chord = np.linalg.norm(direction[rays] - mean, axis=1).max()
-        spread = float(np.rad2deg(2.0 * np.arcsin(min(0.5 * chord, 1.0))))
-        if spread > tolerance:
-            raise InputError(
-                f"{len(rays)} rays of file {str(paths[0])!r} run into each other over {spread:.3g} degrees from "
-                f"{directions_in_words(mean[np.newaxis])} (azimuth, elevation), in steps within tolerance_deg = "
-                f"{tolerance:g}: give a smaller tolerance_deg; rays of a scanner that sweeps are no beams."
-            )
-        found.append(_Found(rays, mean, spread))
-    return found
+    """Return the directions that rays have in common, none of which runs into another."""
+    found = common_directions(direction, tolerance)
+    for index in np.flatnonzero(found.spread_deg > tolerance).tolist():
+        raise InputError(
+            f"{len(found.rays[index])} rays of file {str(paths[0])!r} run into each other over "
+            f"{found.spread_deg[index]:.3g} degrees from {directions_in_words(found.direction[[index]])} (azimuth, "
+            f"elevation), in steps within tolerance_deg = {tolerance:g}: give a smaller tolerance_deg; rays of a "
+            "scanner that sweeps are no beams."
+        )
+    return [_Found(*one) for one in zip(found.rays, found.direction, found.spread_deg.tolist(), strict=True)]
 
 
 def _timing(

@@ -25,6 +25,7 @@ from pydantic import ConfigDict, Field
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.layouts import Count, Entry, Open, check_dataset, read_json
@@ -35,11 +36,12 @@ from bayes_rs.quality.samples import IntArray
 from bayes_rs.readers.ahead import read_ahead
 from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import FoundFiles, find_files
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.streaming import series_of_read, stream
 from bayes_rs.records.file_queue import FileQueue, NotInOrderError, Waiting
-from bayes_rs.records.layout import REPORT, check_layout
+from bayes_rs.records.layout import OF_RANGES, REPORT, check_layout
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
@@ -109,6 +111,8 @@ class _Progress:
     files: Mapping[str, list[Any]] = field(default_factory=dict)
     bad: Mapping[str, str] = field(default_factory=dict)
     read: Mapping[str, Any] = field(default_factory=dict)
+    distance: list[list[float]] = field(default_factory=list)
+    """Distance along each beam at each of several ranges; nothing of a scan at its own."""
 
 
 def store_records(
@@ -174,9 +178,11 @@ def store_records(
     not fit, all files are read again.
     """
     found = find_files(files, SUFFIXES)
+    reading = reading or FileOptions()
+    of_scan = scan_at_ranges(found.paths, as_scan(scan), reading)
     asked = _Asked(
-        as_scan(scan),
-        reading or FileOptions(),
+        of_scan,
+        reading,
         {"quality": quality, **options},
         record_options(options),
         lateness,
@@ -184,6 +190,11 @@ def store_records(
         check_count(workers, what="workers"),
     )
     done = _load(folder, say)
+    distance = of_scan.distance.tolist() if isinstance(of_scan, RangedScan) else []
+    if done.files and done.distance != distance:
+        say("The files are read at other ranges than by an earlier run: all are read again.")
+        done = _Progress()
+    done = replace(done, distance=distance)
     for name in set(folder.names("records/part-")) - {_part(index) for index in range(done.n_part)}:
         folder.remove(name)  # what no state counts: it is made again
     _check_unchanged(found.paths, done)
@@ -195,7 +206,7 @@ def store_records(
             break
         except InputError:
             say(f"A part of the records in {str(folder.path)!r} was damaged meanwhile: all files are read again.")
-        done, n_resumed = _Progress(), 0
+        done, n_resumed = _Progress(distance=distance), 0
     else:
         raise InputError(
             f"The records in {str(folder.path)!r} do not stay as they were written: check the disk, or give another "
@@ -263,7 +274,7 @@ def _read_report(found: FoundFiles, scan: Scan, done: _Progress) -> dict[str, An
     """Return the report as `read` gives it of all files together."""
     return whole_report(
         done.read,
-        scan,
+        scan.of_one if isinstance(scan, RangedScan) else scan,
         order=[_name(path) for path in found.paths],
         skipped=[
             {"name": path.name, "reason": done.bad[_name(path)]} for path in found.paths if _name(path) in done.bad
@@ -465,8 +476,8 @@ def _part(index: int) -> str:
 def _open(folder: ResultFolder, index: int) -> xr.Dataset:
     file = folder.checked(_part(index))
     part, what = load_netcdf(file).drop_encoding(), f"The records in {str(file)!r}"
-    check_layout(part, *_OF_PART, what=what)
-    if REPORT not in part.attrs:
+    check_layout(part, *_OF_PART, what=what, ranges=True)
+    if REPORT not in part.attrs and OF_RANGES not in part.attrs:
         raise InputError(f"{what} have no {REPORT}.")
     return part
 
@@ -483,7 +494,7 @@ def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}
     meta: dict[str, Any] = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
-    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read")})
+    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read", "distance")})
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
     text = np.array(json.dumps(meta, default=lambda value: value.tolist()).encode("ascii"))  # as text, four times that
     entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
@@ -518,6 +529,7 @@ class _Meta(Open):
     n_part: Count
     files: dict[str, Annotated[list[int | str], Field(min_length=3, max_length=3)]]
     bad: dict[str, str]
+    distance: list[list[float]]
     read: _WasRead | Annotated[dict[str, Any], Field(max_length=0)]
 
     model_config = ConfigDict(extra="forbid", strict=True)

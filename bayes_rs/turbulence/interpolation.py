@@ -64,6 +64,27 @@ class StateNet:
         weights[:, self.number.ravel()] = on_net
         return weights, inside
 
+    def cells(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return in which cell of the net points are, the last axis fastest; those outside are in the nearest.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, n_axis)
+            Where.
+
+        Returns
+        -------
+        cell : ndarray of int, shape (n,)
+            Its number. An axis with one coordinate has one cell.
+        """
+        where = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        sizes = [max(len(axis) - 1, 1) for axis in self.axes]
+        at = [
+            np.clip(np.searchsorted(axis, where[:, i], side="right") - 1, 0, size - 1)
+            for i, (axis, size) in enumerate(zip(self.axes, sizes, strict=True))
+        ]
+        return np.ravel_multi_index(at, sizes).astype(np.int64)
+
 
 def find_net(coordinates: ArrayLike) -> StateNet | None:
     """Return the regular net that states form, or None if they form none.

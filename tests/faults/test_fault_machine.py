@@ -6,9 +6,11 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from fault_scenes import ROOT, complaint
 from fit_scene import NOISE, SCAN, make_records
+from ray_files import RayTable, windcube_sweep
 
 import bayes_rs as brs
 from bayes_rs.cli.group import COMMANDS
@@ -19,7 +21,9 @@ OF_RECORDS = ("records.nc", "--scan", "6-beam", "--noise", "noise.nc", "--sample
 OF_SAMPLES = ("few.csv", "--scan", "6-beam", "--duration", "60")
 CASES = {
     "demo": (("demo", "-o", "demo"), "demo/widths.csv"),
-    "scans": (("scans",), None),
+    "scans": (("scans", "6-beam", "-o", "scan.png"), "scan.png"),
+    "find-scan": (("find-scan", "rays.nc", "--distance", "100", "-o", "found.toml"), "found.toml"),
+    "look": (("look", "few.csv", "-o", "look.png"), "look.png"),
     "plan": (("plan", "2-beam"), None),
     "records": (("records", *OF_SAMPLES, "-o", "made.nc"), "made.nc"),
     "calibrate": (("calibrate", "2-beam", "--wind-speed", "9.7", "--duration", "60", "-o", "cal.nc"), "cal.nc"),
@@ -83,6 +87,9 @@ def inputs(tmp_path_factory):
     records = make_records(2)
     write_netcdf(records, folder / "records.nc")
     NOISE.save(folder / "noise.nc")
+    azimuth = np.tile([0.0, 90.0, 180.0, 270.0], 3)
+    rays = RayTable(np.arange(12.0), azimuth, np.full(12, 75.0), np.full((12, 1), 100.0), np.ones((12, 1)))
+    windcube_sweep(rays).to_netcdf(folder / "rays.nc", engine="h5netcdf")
     brs.fit(records, SCAN, noise=NOISE, output=folder / "out", sampler="direct", target_ess=100, seed=1)
     return folder
 

@@ -8,6 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+from ray_files import RayTable, windcube_sweep
+
 WORDS = (
     "0",
     "-1",
@@ -78,6 +81,9 @@ def scene() -> SimpleNamespace:
     noise = brs.noise.calibrate(scan, "fu-2022", wind_speed=10.0, duration=60.0, cache=False)
     noise.save(place / "noise.nc")
     records.to_netcdf(place / "records.nc", engine="h5netcdf")
+    azimuth = np.tile([0.0, 90.0, 180.0, 270.0], 3)
+    rays = RayTable(np.arange(12.0), azimuth, np.full(12, 75.0), np.full((12, 1), 100.0), np.ones((12, 1)))
+    windcube_sweep(rays).to_netcdf(place / "rays.nc", engine="h5netcdf")
     fit = brs.fit(
         records, scan, noise=noise, seed=1, target_ess=50, campaign="off", output=place / "fit", progress=False
     )

@@ -1,0 +1,208 @@
+"""Commands about scans: those that there are, and the one that files were measured with."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bayes_rs.cli.next_command import command_line, files_words, reading_words
+from bayes_rs.cli.options import GroupedCommand, Quantity, settings_options
+
+if TYPE_CHECKING:
+    from bayes_rs.readers.survey import Survey
+
+_output = click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture to write (PNG, PDF or SVG).")
+_overwrite = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+
+
+@click.command()
+@click.argument("name", required=False)
+@_output
+@_overwrite
+def scans(name: str | None, output: Path | None, overwrite: bool) -> None:
+    """List the shipped scans and what each can see of the six stresses, or show one.
+
+    NAME is one of the list, another name of it (windcube-nacelle, zxtm, ...), or a TOML file; changes follow an @, as
+    in zx-tm@probe=point. It is shown with its beams, timing and probe volume; -o draws it.
+    """
+    from bayes_rs.geometry.scan_file import load_scan
+
+    if name is None:
+        if output is not None:
+            raise click.UsageError("--output draws one scan: name it, as in bayes-rs scans zx-tm -o zx-tm.png.")
+        _list_scans()
+        return
+    from bayes_rs.geometry.scan_words import scan_lines
+    from bayes_rs.output import output_file
+
+    scan = load_scan(name)
+    if output is not None:
+        with output_file(output, overwrite=overwrite) as part:
+            from bayes_rs.plot.scan_plot import scan as draw_scan
+
+            draw_scan(scan).savefig(part, dpi=130)
+    for line in scan_lines(scan):
+        click.echo(line)
+    if output is not None:
+        click.echo(f"picture in {output}")
+
+
+def _list_scans() -> None:
+    from bayes_rs.geometry.forward import sight
+    from bayes_rs.geometry.scan_file import load_scan
+    from bayes_rs.models import preset_names
+
+    click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
+    for name in preset_names("scans"):
+        scan = load_scan(name)
+        seen = sight(scan)
+        click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
+    click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
+    click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
+    click.echo("The scans of instruments have a probe volume; behind a name, @probe=point takes it away.")
+    click.echo("bayes-rs scans NAME shows one, with its beams; bayes-rs find-scan makes one from files.")
+
+
+@click.command(name="find-scan", cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILES...", type=click.Path())
+@settings_options("scan", "files", only={"scan": ("scan_group",)})
+@click.option(
+    "--tolerance",
+    "tolerance_deg",
+    type=Quantity("tolerance", "degrees"),
+    default=1.0,
+    show_default=True,
+    help="Rays that are closer than this, degrees, have one direction.",
+)
+@click.option(
+    "--min-share",
+    type=Quantity("min_share", zero=True),
+    default=0.2,
+    show_default=True,
+    help="Directions with fewer rays than this share of the most frequent one are dropped.",
+)
+@click.option("--probe", metavar="NAME", help="Scan whose probe volume the beams have; by default they are points.")
+@click.option(
+    "--probe-gate-length",
+    type=Quantity("gate_length", "m"),
+    help="Length of the gates of a pulsed lidar, m: the probe volume of its beams.",
+)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Scan file to write (.toml).")
+@_overwrite
+def find_scan(
+    files: tuple[str, ...],
+    tolerance_deg: float,
+    min_share: float,
+    probe: str | None,
+    probe_gate_length: float | None,
+    output: Path,
+    overwrite: bool,
+    **options: Any,
+) -> None:
+    """Make the scan that files were measured with, from their own directions, times and gates.
+
+    FILES are files, folders or patterns, in a format whose rays say where they point: WindCube, e-WindLidar, Halo and
+    others. Where they hold several scans, those are listed, and the one that has beams is taken.
+    """
+    from bayes_rs.cli.options import settings_of
+    from bayes_rs.errors import InputError
+    from bayes_rs.file_options import ALL_RANGES
+    from bayes_rs.fits.found_scan import distances, survey_options
+    from bayes_rs.geometry.probe import make_probe
+    from bayes_rs.geometry.scan_file import as_probe
+    from bayes_rs.geometry.scan_writing import save_scan
+    from bayes_rs.output import output_file
+    from bayes_rs.readers.survey import survey
+
+    if probe is not None and probe_gate_length is not None:
+        raise click.UsageError("--probe and --probe-gate-length say the same: give one of the two.")
+    if output.suffix != ".toml":
+        raise InputError(f"Invalid scan file {str(output)!r}: its name must end in .toml; add the ending.")
+    settings = settings_of((), options)
+    with output_file(output, overwrite=overwrite) as part:
+        own = None if probe is None else as_probe(probe)
+        own = own if probe_gate_length is None else make_probe("pulsed", gate_length=probe_gate_length)
+        found = survey(
+            list(files),
+            height=distances(settings.files.height) or None,
+            distance=distances(settings.files.range) or None,
+            any_gate=settings.files.range == ALL_RANGES,
+            group=settings.scan.scan_group,
+            tolerance_deg=tolerance_deg,
+            min_share=min_share,
+            name=output.stem,
+            probe=own,
+            **survey_options(settings.files),
+        )
+        save_scan(found.scan, part.with_suffix(".toml")).replace(part)
+    _tell(found, files, output, options)
+
+
+def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str, Any]) -> None:
+    """Say what was found, what was dropped, and what to type next."""
+    from bayes_rs.geometry.forward import sight
+    from bayes_rs.geometry.scan_words import RECORD, beam_table, probe_in_words
+
+    scan = found.scan
+    click.echo(f"{output}: {scan.n_beam} beams, from {scan.source}")
+    for line in beam_table(scan, {"rays": [str(count) for count in found.n_ray]}):
+        click.echo(line)
+    click.echo(
+        f"cycle of {scan.scan_duration:g} s: {RECORD / scan.scan_duration:.3g} samples of a beam in {RECORD:g} s"
+    )
+    click.echo(f"probe volume: {probe_in_words(scan.probe, scan.focus_distance)}")
+    click.echo(sight(scan).in_words())
+    for index, line in enumerate(found.found.in_words()):
+        if index != found.chosen:
+            click.echo(f"not of this scan: {line}")
+    reasons = Counter(found.found.skipped.values())
+    for path, reason in found.found.skipped.items():
+        if reasons.pop(reason, 0):
+            click.echo(f"file {path.name}: {reason}", err=True)
+    others = [path for index, one in enumerate(found.found.groups) if index != found.chosen for path in one.files]
+    named = files_words(files, found.files, [*others, *found.found.skipped])
+    where = {name: value for name, value in options.items() if name in ("range", "height")}
+    reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
+    if named is None:
+        wanted = reading_words(where)
+        group = ["--scan-group", str(found.chosen + 1)] if options["scan_group"] else []
+        which = [*files, "--scan", "auto", *wanted, *group]
+    else:
+        which = [*named, "--scan", str(output)]
+    click.echo(f"next: {command_line('bayes-rs', 'fit', *which, *reading, '-o', 'OUT/')}")
+
+
+@click.command(cls=GroupedCommand)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path())
+@settings_options("files")
+@_output
+@_overwrite
+def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options: Any) -> None:
+    """Say what is in files, before a scan or any option is known, and what to type next.
+
+    Format and the options that it assumes, beams or directions with their samples, gates, sampling, gaps, what is
+    missing, and what the sign says; of a table its headings with what they seem to be; of a cone the mean velocity
+    over the phase with the phase zeros that there may be. Of many files twenty are read, of a long table the first
+    200 000 rows.
+    """
+    from bayes_rs.cli.options import settings_of
+    from bayes_rs.output import output_file
+    from bayes_rs.readers.looking import look as look_at
+
+    given = settings_of((), options).files.of_reading()
+    found = look_at(list(files), **{name: value for name, value in given.items() if name != "on_bad_file"})
+    if output is not None:
+        with output_file(output, overwrite=overwrite) as part:
+            from bayes_rs.plot.look_plot import draw_look
+
+            draw_look(found).savefig(part, dpi=130)
+    for line in found.lines:
+        click.echo(line)
+    if output is not None:
+        click.echo(f"picture in {output}")
+    where = {name: value for name, value in options.items() if name in ("range", "height")}
+    reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
+    click.echo(f"next: {command_line('bayes-rs', *found.words[:-2], *reading, *found.words[-2:])}")
