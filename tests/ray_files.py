@@ -163,15 +163,17 @@ def cfradial(rays: RayTable, *, velocity: str = "VEL", standard_name: str | None
         coords={"time": ("time", rays.seconds, {"units": "seconds since 2000-01-01T00:00:00Z"})},
         attrs={"Conventions": "CF/Radial instrument_parameters", "version": "1.3"},
     )
-    distances = ("range", rays.distance[0]) if one_elevation else (dims, rays.distance)
-    return made.assign(range=(*distances, {"units": "meters", "standard_name": "projection_range_coordinate"}))
+    attributes = {"units": "meters", "standard_name": "projection_range_coordinate"}
+    if one_elevation:
+        return made.assign_coords(range=("range", rays.distance[0], attributes))
+    return made.rename_dims(range="gate").assign(range=(("time", "gate"), rays.distance, attributes))
 
 
 def write_cfradial2(file: Path, *sweeps: xr.Dataset) -> Path:
     """Write sweeps into groups, as version 2 has them."""
     names = [f"sweep_{number}" for number in range(len(sweeps))]
-    root = xr.Dataset({"sweep_group_name": ("sweeps", np.array(names, dtype=object))}, attrs={"version": "2.0"})
-    root.rename(sweep_group_name="sweep_group_names").to_netcdf(file, engine="h5netcdf")
+    root = xr.Dataset({"sweep_group_name": ("sweep", np.array(names, dtype=object))}, attrs={"version": "2.0"})
+    root.to_netcdf(file, engine="h5netcdf")
     for name, sweep in zip(names, sweeps, strict=True):
         sweep.drop_vars("sweep_mode").to_netcdf(file, group=name, mode="a", engine="h5netcdf")
     return file

@@ -49,7 +49,7 @@ def check_refused_by(folder, rays, match, kind="cfradial", **options):
 
 
 class TestRoundTrip:
-    @pytest.mark.parametrize("layout", ["root", "groups", "two groups", "classic", "turned"])
+    @pytest.mark.parametrize("layout", ["root", "groups", "two groups", "classic", "turned", "by azimuth"])
     def test_the_same_records_from_every_layout(self, layout, tmp_path, series, table):
         file = tmp_path / "noon.nc"
         sweep = cfradial(table)
@@ -59,6 +59,8 @@ class TestRoundTrip:
             sweep.transpose().to_netcdf(file, engine="h5netcdf")
         elif layout == "classic":
             sweep.to_netcdf(file, format="NETCDF3_64BIT", engine="scipy")
+        elif layout == "by azimuth":  # as xradar writes sweeps
+            write_cfradial2(file, sweep.swap_dims(time="azimuth"))
         elif layout == "groups":
             write_cfradial2(file, sweep)
         else:

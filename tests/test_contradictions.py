@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from ray_checks import FLOW, SIX
@@ -145,3 +146,33 @@ class TestFiles:
         }
         np.testing.assert_allclose(by["distance"], 1.2 * table.distance)
         np.testing.assert_allclose(by["height"], table.distance, atol=0.52)  # heights are whole metres
+
+
+class TestMeasured:
+    @pytest.mark.parametrize("height", [200.0, 700.0, 750.0, 2000.0, 8000.0])
+    def test_every_gate_is_the_one_at_its_height(self, dbs_folder, height):
+        """By h5py and the heights alone, ray by ray; before, gates above 710 m were those beside them."""
+        files = sorted(dbs_folder.glob("*.nc"))
+        scan = find_scan(files, height=height)
+        assert scan.focus_distance * scan.beam_direction[:, 2] == pytest.approx(np.full(5, height), abs=1.5)
+        series = read(files, scan)
+        velocity = []
+        for file in files:
+            with h5py.File(file, "r") as opened:
+                sweep = next(opened[name] for name in opened if name.startswith("Sweep"))
+                at = np.argmin(np.abs(sweep["measurement_height"][()] - height), axis=1)
+                velocity.append(sweep["radial_wind_speed"][()][np.arange(5), at])
+        np.testing.assert_array_equal(series["radial_velocity"].values, np.concatenate(velocity))
+        assert [
+            line
+            for line in describe_report(series)
+            if line.startswith("11 files (the first: WLS200S-218_2021-07-01_13")
+        ]
+
+    @pytest.mark.parametrize("height", [200.0, 2000.0])
+    def test_what_was_read_before_was_another_gate(self, dbs_folder, height):
+        """The option that believes the distances as they stand does what was done in silence."""
+        files = sorted(dbs_folder.glob("*.nc"))
+        right = read(files, find_scan(files, height=height))["radial_velocity"].values
+        other = read(files, find_scan(files, height=height, gates_by="distance"), gates_by="distance")
+        assert np.array_equal(other["radial_velocity"].values, right) == (height == 200.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.cfradial import velocities_in
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
@@ -32,13 +33,16 @@ STATUS_VALID = 1.0
 
 
 def recognises_windcube(file: Path) -> bool:
-    """Say whether a file is a WindCube's, by its variables: in the root or in the groups that the root lists."""
+    """Say whether a file is a WindCube's: by its variables in the root or in a group, or by a list of no groups."""
     try:
-        names = set(glance(file)["/"].names)
+        groups = glance(file)
     except InputError:
         return False
     own = {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")}
-    return "sweep_group_name" in names or own <= names
+    if any(own <= set(group.names) for group in groups.values()):
+        return True
+    others = {name for group in groups.values() for name in velocities_in(group)} - {NAMES["radial_velocity"]}
+    return "sweep_group_name" in groups["/"].names and not others  # CfRadial 2 lists its groups, too
 
 
 def read_windcube(file: Path, scan: Scan, file_format: FileFormat) -> Samples:

@@ -496,7 +496,7 @@ def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked
     meta: dict[str, Any] = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
     meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read", "distance")})
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
-    text = np.array(json.dumps(meta, default=lambda value: value.tolist()))
+    text = np.array(json.dumps(meta, default=lambda value: value.tolist()).encode("ascii"))  # as text, four times that
     entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
     folder.write(_STATE, lambda file: np.savez(file, **entries))
     return done
@@ -552,7 +552,9 @@ def _load(folder: ResultFolder, say: Callable[[str], None]) -> _Progress:
 def _progress(content: bytes) -> _Progress:
     """Return what a state file holds."""
     with np.load(io.BytesIO(content)) as found:
-        meta = read_json(_Meta, str(found["meta"]), what=f"File {_STATE}", advice=_AGAIN)
+        text = found["meta"]
+        plain = text.item().decode("ascii", "replace") if text.dtype.kind == "S" and text.ndim == 0 else str(text)
+        meta = read_json(_Meta, plain, what=f"File {_STATE}", advice=_AGAIN)
         columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
         beam_time = {"time": found["time"], "beam": found["beam"]}
     layout = {"time": Entry(_SAMPLE, "whole"), "beam": Entry(_SAMPLE, "whole")}
