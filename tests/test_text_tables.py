@@ -505,3 +505,45 @@ def test_the_fast_way_reads_only_what_is_used(tmp_path):
     (found,) = fast_pieces(file, lines_of(file, file_format, 0), headings, wanted, text=["time"], n_row=None)
     assert found.column_names == wanted
     assert [str(kind) for kind in found.schema.types] == ["string", "double"]
+
+
+class TestQuotes:
+    """What is quoted may hold separators and line ends, as other programs have them."""
+
+    NOTE = HEAD.strip() + ",note\n"
+
+    def test_a_note_over_several_lines(self, tmp_path, monkeypatch):
+        rows = [f'{row},"one, two\nthree"' if index % 7 == 3 else f"{row},x" for index, row in enumerate(GOOD)]
+        file = write(tmp_path, rows, head=self.NOTE)
+        good = read(write(tmp_path, GOOD, name="good.csv"), SCAN)
+        np.testing.assert_array_equal(read(file, SCAN)["radial_velocity"], good["radial_velocity"])
+        with monkeypatch.context() as patch:
+            careful_only(patch)
+            np.testing.assert_array_equal(read(file, SCAN)["radial_velocity"], good["radial_velocity"])
+        odd = write(tmp_path, [*rows[:50], rows[50].replace("-8", "+8"), *rows[51:]], head=self.NOTE, name="odd.csv")
+        series = [part["time"].values for part in stream(odd, SCAN, chunk_rows=20)]
+        np.testing.assert_array_equal(np.concatenate(series), good["time"])
+
+    def test_a_quote_that_is_none(self, tmp_path):
+        """As for inches; or one that is never closed."""
+        for note in ('5" pipe', '"open'):
+            rows = [f"{row},{note if index == 9 else 'x'}" for index, row in enumerate(GOOD)]
+            rows[20] = rows[20].replace("-8", "+8")
+            series = read(write(tmp_path, rows, head=self.NOTE), SCAN)
+            assert series.sizes["sample"] == 60
+
+    def test_spaces_after_separators_are_plain(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(table, "careful_pieces", None)
+        rows = [" " + ", ".join(row.split(",")) + " " for row in [*GOOD, "NaN,0,-8.25"]]
+        series = read(write(tmp_path, rows, head=HEAD.replace(",", ", ")), SCAN)
+        assert (series.sizes["sample"], file_of(series)["rows_without_time"]) == (60, 1)
+
+
+def test_a_whole_file_is_its_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr("bayes_rs.readers.long_table.ROWS_AT_ONCE", 7)
+    file = write(tmp_path, [*GOOD[:30], "x", *GOOD[30:], ",,"])
+    series = read(file, SCAN, bad_rows="drop")
+    told = file_of(series)
+    assert (series.sizes["sample"], told["rows"], told["rows_bad"], told["rows_dropped"]) == (60, 62, 1, 1)
+    with pytest.raises(InputError, match="Time goes backwards in line 33 of"):
+        read(write(tmp_path, [*GOOD[:31], GOOD[3].replace("-8", "-9")]), SCAN)

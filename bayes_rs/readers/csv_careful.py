@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from bayes_rs.readers.bad_rows import BadRows
-from bayes_rs.readers.csv_lines import MISSING, NO_CHARACTER, Lines
+from bayes_rs.readers.csv_lines import MISSING, NO_CHARACTER, SPACES, Lines
 
 _AT_ONCE = 100_000
 _WORDS = frozenset(("True", "TRUE", "true", "False", "FALSE", "false"))
@@ -57,7 +57,7 @@ def careful_pieces(
     parts: list[list[pa.Array]] = [[] for _ in wanted]
     n_held = 0
     with lines.opened(file) as of_file:
-        head = next(islice(of_file, lines.skip, None), "").strip()
+        head = next(islice(of_file, lines.skip, None), "").strip(SPACES)
         number = lines.skip + 1 + done
         for line in islice(of_file, done, None):
             number += 1
@@ -81,7 +81,7 @@ def careful_pieces(
 
 def _entries(line: str, lines: Lines, head: str, places: Sequence[int], width: int) -> tuple[Sequence[str | None], str]:
     """Return the entries in use of a line, none for one that is no row, and why it is bad, if it is."""
-    content = line.strip()
+    content = line.strip(SPACES)
     nothing = [None] * len(places)
     if not content or (lines.comment and content.startswith(lines.comment)):
         return nothing, ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ MISSING = frozenset(
 )  # fmt: skip
 """What stands for a missing entry in text files, whatever the options say."""
 
+SPACES = " \t\n\r\v\f"
+_MOST_LINES = 100  # of one quoted entry
 _TAIL = 1 << 16
 _LEAST_ROWS = 3
 
@@ -54,16 +57,51 @@ class Lines:
 
     @contextmanager
     def opened(self, file: Path) -> Iterator[Iterator[str]]:
-        """Give the lines of a file; bytes that are not valid in the encoding become `NO_CHARACTER`."""
+        """Give the lines of a file, those of one quoted entry together.
+
+        Bytes that are not valid in the encoding become `NO_CHARACTER`.
+        """
         with file.open(encoding=self.encoding, errors="replace", newline=None) as text:
-            yield iter(text)
+            yield self._whole(text)
+
+    def _whole(self, text: Iterator[str]) -> Iterator[str]:
+        """Put the lines together that a quoted entry goes over; a quote that is never closed is a sign like others."""
+        ahead: deque[str] = deque()
+        while (line := _next(ahead, text)) is not None:
+            if '"' in line and self._is_open(line):
+                joined, more = line, list[str]()
+                while len(more) < _MOST_LINES and (after := _next(ahead, text)) is not None:
+                    more.append(after)
+                    joined += after
+                    if '"' in after and not self._is_open(joined):
+                        line = joined
+                        break
+                else:
+                    ahead.extendleft(reversed(more))
+            yield line
+
+    def _is_open(self, line: str) -> bool:
+        """Say whether a quoted entry goes on in the next line."""
+        try:
+            list(csv.reader([line], delimiter=self.separator, skipinitialspace=True, strict=True))
+        except csv.Error as error:
+            return "unexpected end" in str(error)
+        return False
 
     def cells(self, line: str) -> list[str]:
         """Return the entries of a line, without spaces around them."""
         if '"' in line:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))]
-        parts = line.split() if self.separator == " " else line.split(self.separator)
-        return [part.strip() for part in parts]
+            try:
+                parts = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+            except csv.Error:
+                parts = line.split(self.separator)
+        else:
+            parts = line.split() if self.separator == " " else line.split(self.separator)
+        return [part.strip(SPACES) for part in parts]
+
+
+def _next(ahead: deque[str], text: Iterator[str]) -> str | None:
+    return ahead.popleft() if ahead else next(text, None)
 
 
 def lines_of(file: Path, file_format: FileFormat, skip: int) -> Lines:
