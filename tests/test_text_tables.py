@@ -79,17 +79,20 @@ class TestBothWays:
     @given(
         rows=st.lists(st.tuples(times, st.sampled_from(["0", "1", "10.0", "LOS1", ""]), cells, cells), min_size=1),
         plain=st.booleans(),
+        stretch=st.sampled_from([1, 4, 100]),
         n_row=st.sampled_from([None, 1, 3]),
         line_end=st.sampled_from(["\n", "\r\n"]),
     )
-    def test_any_table_is_the_same(self, tmp_path, rows, plain, n_row, line_end):
+    def test_any_table_is_the_same(self, tmp_path, rows, plain, stretch, n_row, line_end):
         """The law of the fast way: whatever it takes, it gives what the careful way gives, bit by bit."""
         if plain:
             rows = [(time, beam, f"{index / 7:.5f}", repr(index / 3.0)) for index, (time, beam, *_) in enumerate(rows)]
         file = tmp_path / "any.csv"
         lines = ["time,beam,v,w", *(",".join(row) for row in rows)]
         file.write_bytes((line_end.join(lines) + line_end).encode())
-        fast = frames(file, {}, ["time", "beam"], n_row)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(table, "CAREFUL_ROWS", stretch)
+            fast = frames(file, {}, ["time", "beam"], n_row)
         with pytest.MonkeyPatch.context() as patch:
             careful_only(patch)
             careful = frames(file, {}, ["time", "beam"], n_row)
@@ -144,6 +147,29 @@ class TestBothWays:
         assert whole["radial_velocity"].values[70_000] == 8.25
         for name in ("time", "beam", "radial_velocity"):
             np.testing.assert_array_equal(np.concatenate([part[name].values for part in parts]), whole[name].values)
+
+    @pytest.mark.parametrize("end", ["\n", "\r\n"])
+    @pytest.mark.parametrize("head", [HEAD, '"time","beam","radial_velocity"\n'])
+    def test_one_odd_line_does_not_make_the_rest_slow(self, tmp_path, monkeypatch, head, end):
+        monkeypatch.setattr(table, "CAREFUL_ROWS", 10)
+        n_careful = []
+        careful = table.careful_pieces
+
+        def spied(*args, **options):
+            for part in careful(*args, **options):
+                n_careful.append(len(part))
+                yield part
+
+        monkeypatch.setattr(table, "careful_pieces", spied)
+        rows = list(GOOD)
+        for odd in (3, 4, 40):
+            rows[odd] = rows[odd].replace("-8", "+8")
+        file = tmp_path / "day.csv"
+        file.write_bytes((head + "\n".join(rows) + "\n").replace("\n", end).encode())
+        parts = list(stream(file, SCAN, chunk_rows=5))
+        assert sum(n_careful) == 20
+        velocity = np.concatenate([part["radial_velocity"].values for part in parts])
+        np.testing.assert_array_equal(velocity, [float(row.split(",")[-1]) for row in rows])
 
     @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(

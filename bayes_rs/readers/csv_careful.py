@@ -26,6 +26,7 @@ def careful_pieces(
     text: Sequence[str],
     n_row: int | None,
     done: int = 0,
+    offset: int | None = None,
 ) -> Iterator[pa.Table]:
     """Read columns of a text table line by line.
 
@@ -44,6 +45,8 @@ def careful_pieces(
         Rows at a time; all if not given.
     done : int
         Rows that were read before and are passed over.
+    offset : int, optional
+        The byte at which the row after these begins, if it is known.
 
     Yields
     ------
@@ -58,8 +61,9 @@ def careful_pieces(
     n_held = 0
     with lines.opened(file) as of_file:
         head = next(islice(of_file, lines.skip, None), "").strip(SPACES)
-        number = lines.skip + 1 + done
-        for line in islice(of_file, done, None):
+    number = lines.skip + 1 + done
+    with lines.opened(file, offset or 0) as of_file:
+        for line in islice(of_file, number if offset is None else 0, None):
             number += 1
             row, reason = _entries(line, lines, head, places, width)
             if reason and not line.endswith("\n"):

@@ -32,7 +32,14 @@ class NotPlainError(Exception):
 
 
 def fast_pieces(
-    file: Path, lines: Lines, headings: Sequence[str], wanted: Sequence[str], *, text: Sequence[str], n_row: int | None
+    file: Path,
+    lines: Lines,
+    headings: Sequence[str],
+    wanted: Sequence[str],
+    *,
+    text: Sequence[str],
+    n_row: int | None,
+    offset: int | None = None,
 ) -> Iterator[pa.Table]:
     """Read columns of a plain text table.
 
@@ -40,6 +47,8 @@ def fast_pieces(
     ----------
     file, lines, headings, wanted, text, n_row
         As for `careful_pieces`.
+    offset : int, optional
+        The byte at which to begin; by default below the headings.
 
     Yields
     ------
@@ -62,7 +71,7 @@ def fast_pieces(
     held: list[pa.RecordBatch] = []
     n_held = 0
     options: dict[str, Any] = {
-        "read_options": pyarrow.csv.ReadOptions(column_names=names, skip_rows=lines.skip + 1),
+        "read_options": pyarrow.csv.ReadOptions(column_names=names, skip_rows=0 if offset else lines.skip + 1),
         "parse_options": pyarrow.csv.ParseOptions(delimiter=lines.separator, ignore_empty_lines=False),
         "convert_options": pyarrow.csv.ConvertOptions(
             column_types=types,
@@ -74,6 +83,7 @@ def fast_pieces(
     }
     try:
         with file.open("rb") as of_file:
+            of_file.seek(offset or 0)
             watched = _Watched(of_file)
             for batch in pyarrow.csv.open_csv(watched, **options):
                 if watched.is_odd:

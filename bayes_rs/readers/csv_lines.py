@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import codecs
 import csv
+import io
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from bayes_rs.readers.format import FileFormat
 
@@ -25,6 +28,7 @@ MISSING = frozenset(
 SPACES = " \t\n\r\v\f"
 _MOST_LINES = 100  # of one quoted entry
 _TAIL = 1 << 16
+_BLOCK = 1 << 20
 _LEAST_ROWS = 3
 
 
@@ -56,13 +60,15 @@ class Lines:
         return not codecs.lookup(self.encoding).name.startswith(("utf-16", "utf-32"))
 
     @contextmanager
-    def opened(self, file: Path) -> Iterator[Iterator[str]]:
-        """Give the lines of a file, those of one quoted entry together.
+    def opened(self, file: Path, offset: int = 0) -> Iterator[Iterator[str]]:
+        """Give the lines of a file from a byte on, those of one quoted entry together.
 
         Bytes that are not valid in the encoding become `NO_CHARACTER`.
         """
-        with file.open(encoding=self.encoding, errors="replace", newline=None) as text:
-            yield self._whole(text)
+        with file.open("rb") as binary:
+            binary.seek(offset)
+            with io.TextIOWrapper(binary, encoding=self.encoding, errors="replace", newline=None) as text:
+                yield self._whole(text)
 
     def _whole(self, text: Iterator[str]) -> Iterator[str]:
         """Put the lines together that a quoted entry goes over; a quote that is never closed is a sign like others."""
@@ -114,6 +120,27 @@ def lines_of(file: Path, file_format: FileFormat, skip: int) -> Lines:
     elif mark.startswith(codecs.BOM_UTF8):
         encoding = "utf-8-sig"
     return Lines(encoding, file_format.separator, file_format.decimal, file_format.comment, skip)
+
+
+def offset_behind(file: Path, lines: Lines, offset: int, n_line: int, *, quotes: bool = False) -> int | None:
+    """Return at which byte a number of lines from another byte on ends, or None where that cannot be told by counting.
+
+    That is where characters are more than a byte, lines end otherwise, or there are quotes, which may hold line ends,
+    unless these are said to hold none.
+    """
+    if not lines.is_ascii_like:
+        return None
+    with file.open("rb") as binary:
+        binary.seek(offset)
+        while n_line and (block := binary.read(_BLOCK)):
+            ends = np.flatnonzero(np.frombuffer(block, dtype=np.uint8) == ord("\n"))
+            if len(ends) >= n_line:
+                block = block[: int(ends[n_line - 1]) + 1]
+            n_line -= min(n_line, len(ends))
+            if (b'"' in block and not quotes) or block.count(b"\r") != block.count(b"\r\n"):
+                return None
+            offset += len(block)
+    return None if n_line else offset
 
 
 def last_row_is_cut(file: Path, lines: Lines, *, last_is_used: bool) -> bool:
