@@ -79,17 +79,20 @@ class TestBothWays:
     @given(
         rows=st.lists(st.tuples(times, st.sampled_from(["0", "1", "10.0", "LOS1", ""]), cells, cells), min_size=1),
         plain=st.booleans(),
+        stretch=st.sampled_from([1, 4, 100]),
         n_row=st.sampled_from([None, 1, 3]),
         line_end=st.sampled_from(["\n", "\r\n"]),
     )
-    def test_any_table_is_the_same(self, tmp_path, rows, plain, n_row, line_end):
+    def test_any_table_is_the_same(self, tmp_path, rows, plain, stretch, n_row, line_end):
         """The law of the fast way: whatever it takes, it gives what the careful way gives, bit by bit."""
         if plain:
             rows = [(time, beam, f"{index / 7:.5f}", repr(index / 3.0)) for index, (time, beam, *_) in enumerate(rows)]
         file = tmp_path / "any.csv"
         lines = ["time,beam,v,w", *(",".join(row) for row in rows)]
         file.write_bytes((line_end.join(lines) + line_end).encode())
-        fast = frames(file, {}, ["time", "beam"], n_row)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(table, "CAREFUL_ROWS", stretch)
+            fast = frames(file, {}, ["time", "beam"], n_row)
         with pytest.MonkeyPatch.context() as patch:
             careful_only(patch)
             careful = frames(file, {}, ["time", "beam"], n_row)
@@ -136,7 +139,7 @@ class TestBothWays:
         """What was given out before it stays, what follows is the same."""
         rows = [f"2020-09-03T{hour:02d}:{minute:02d}:{second:02d}Z,{second % 4},-8.25"
                 for hour in range(20) for minute in range(60) for second in range(60)]  # fmt: skip
-        rows[70_000] = rows[70_000].replace("-8.25", "+8.25")
+        rows[70_000] = rows[70_000].replace("-8.25", "+8.25,")  # with a separator too many
         file = write(tmp_path, rows)
         assert file.stat().st_size > 2_000_000  # several blocks
         whole, parts = read(file, SCAN), list(stream(file, SCAN, chunk_rows=1000))
@@ -144,6 +147,29 @@ class TestBothWays:
         assert whole["radial_velocity"].values[70_000] == 8.25
         for name in ("time", "beam", "radial_velocity"):
             np.testing.assert_array_equal(np.concatenate([part[name].values for part in parts]), whole[name].values)
+
+    @pytest.mark.parametrize("end", ["\n", "\r\n"])
+    @pytest.mark.parametrize("head", [HEAD, '"time","beam","radial_velocity"\n'])
+    def test_one_odd_line_does_not_make_the_rest_slow(self, tmp_path, monkeypatch, head, end):
+        monkeypatch.setattr(table, "CAREFUL_ROWS", 10)
+        n_careful = []
+        careful = table.careful_pieces
+
+        def spied(*args, **options):
+            for part in careful(*args, **options):
+                n_careful.append(len(part))
+                yield part
+
+        monkeypatch.setattr(table, "careful_pieces", spied)
+        rows = list(GOOD)
+        for odd in (3, 4, 40):
+            rows[odd] += ","  # a separator too many
+        file = tmp_path / "day.csv"
+        file.write_bytes((head + "\n".join(rows) + "\n").replace("\n", end).encode())
+        parts = list(stream(file, SCAN, chunk_rows=5))
+        assert sum(n_careful) == 50  # all in one block of the parser, up to the last odd line
+        velocity = np.concatenate([part["radial_velocity"].values for part in parts])
+        np.testing.assert_array_equal(velocity, [float(row.split(",")[2]) for row in rows])
 
     @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(
@@ -505,3 +531,45 @@ def test_the_fast_way_reads_only_what_is_used(tmp_path):
     (found,) = fast_pieces(file, lines_of(file, file_format, 0), headings, wanted, text=["time"], n_row=None)
     assert found.column_names == wanted
     assert [str(kind) for kind in found.schema.types] == ["string", "double"]
+
+
+class TestQuotes:
+    """What is quoted may hold separators and line ends, as other programs have them."""
+
+    NOTE = HEAD.strip() + ",note\n"
+
+    def test_a_note_over_several_lines(self, tmp_path, monkeypatch):
+        rows = [f'{row},"one, two\nthree"' if index % 7 == 3 else f"{row},x" for index, row in enumerate(GOOD)]
+        file = write(tmp_path, rows, head=self.NOTE)
+        good = read(write(tmp_path, GOOD, name="good.csv"), SCAN)
+        np.testing.assert_array_equal(read(file, SCAN)["radial_velocity"], good["radial_velocity"])
+        with monkeypatch.context() as patch:
+            careful_only(patch)
+            np.testing.assert_array_equal(read(file, SCAN)["radial_velocity"], good["radial_velocity"])
+        odd = write(tmp_path, [*rows[:50], rows[50] + ",", *rows[51:]], head=self.NOTE, name="odd.csv")
+        series = [part["time"].values for part in stream(odd, SCAN, chunk_rows=20)]
+        np.testing.assert_array_equal(np.concatenate(series), good["time"])
+
+    def test_a_quote_that_is_none(self, tmp_path):
+        """As for inches; or one that is never closed."""
+        for note in ('5" pipe', '"open'):
+            rows = [f"{row},{note if index == 9 else 'x'}" for index, row in enumerate(GOOD)]
+            rows[20] += ","
+            series = read(write(tmp_path, rows, head=self.NOTE), SCAN)
+            assert series.sizes["sample"] == 60
+
+    def test_spaces_after_separators_are_plain(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(table, "careful_pieces", None)
+        rows = [" " + ", ".join(row.split(",")) + " " for row in [*GOOD, "NaN,0,-8.25"]]
+        series = read(write(tmp_path, rows, head=HEAD.replace(",", ", ")), SCAN)
+        assert (series.sizes["sample"], file_of(series)["rows_without_time"]) == (60, 1)
+
+
+def test_a_whole_file_is_its_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr("bayes_rs.readers.long_table.ROWS_AT_ONCE", 7)
+    file = write(tmp_path, [*GOOD[:30], "x", *GOOD[30:], ",,"])
+    series = read(file, SCAN, bad_rows="drop")
+    told = file_of(series)
+    assert (series.sizes["sample"], told["rows"], told["rows_bad"], told["rows_dropped"]) == (60, 62, 1, 1)
+    with pytest.raises(InputError, match="Time goes backwards in line 33 of"):
+        read(write(tmp_path, [*GOOD[:31], GOOD[3].replace("-8", "-9")]), SCAN)

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from bayes_rs.readers.bad_rows import BadRows
-from bayes_rs.readers.csv_lines import MISSING, NO_CHARACTER, Lines
+from bayes_rs.readers.csv_lines import MISSING, NO_CHARACTER, SPACES, Lines
 
 _AT_ONCE = 100_000
 _WORDS = frozenset(("True", "TRUE", "true", "False", "FALSE", "false"))
@@ -26,6 +26,7 @@ def careful_pieces(
     text: Sequence[str],
     n_row: int | None,
     done: int = 0,
+    offset: int | None = None,
 ) -> Iterator[pa.Table]:
     """Read columns of a text table line by line.
 
@@ -44,6 +45,8 @@ def careful_pieces(
         Rows at a time; all if not given.
     done : int
         Rows that were read before and are passed over.
+    offset : int, optional
+        The byte at which the row after these begins, if it is known.
 
     Yields
     ------
@@ -57,9 +60,10 @@ def careful_pieces(
     parts: list[list[pa.Array]] = [[] for _ in wanted]
     n_held = 0
     with lines.opened(file) as of_file:
-        head = next(islice(of_file, lines.skip, None), "").strip()
-        number = lines.skip + 1 + done
-        for line in islice(of_file, done, None):
+        head = next(islice(of_file, lines.skip, None), "").strip(SPACES)
+    number = lines.skip + 1 + done
+    with lines.opened(file, offset or 0) as of_file:
+        for line in islice(of_file, number if offset is None else 0, None):
             number += 1
             row, reason = _entries(line, lines, head, places, width)
             if reason and not line.endswith("\n"):
@@ -81,7 +85,7 @@ def careful_pieces(
 
 def _entries(line: str, lines: Lines, head: str, places: Sequence[int], width: int) -> tuple[Sequence[str | None], str]:
     """Return the entries in use of a line, none for one that is no row, and why it is bad, if it is."""
-    content = line.strip()
+    content = line.strip(SPACES)
     nothing = [None] * len(places)
     if not content or (lines.comment and content.startswith(lines.comment)):
         return nothing, ""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 
-from bayes_rs.readers.csv_lines import MISSING, Lines
+from bayes_rs.readers.csv_lines import MISSING, SPACES, Lines
 
-_SPACE, _QUOTE = 32, 34
+_SPACE, _QUOTE, _LINE_END, _RETURN = 32, 34, 10, 13
 
 
 class NotPlainError(Exception):
@@ -29,7 +32,14 @@ class NotPlainError(Exception):
 
 
 def fast_pieces(
-    file: Path, lines: Lines, headings: Sequence[str], wanted: Sequence[str], *, text: Sequence[str], n_row: int | None
+    file: Path,
+    lines: Lines,
+    headings: Sequence[str],
+    wanted: Sequence[str],
+    *,
+    text: Sequence[str],
+    n_row: int | None,
+    offset: int | None = None,
 ) -> Iterator[pa.Table]:
     """Read columns of a plain text table.
 
@@ -37,6 +47,8 @@ def fast_pieces(
     ----------
     file, lines, headings, wanted, text, n_row
         As for `careful_pieces`.
+    offset : int, optional
+        The byte at which to begin; by default below the headings.
 
     Yields
     ------
@@ -47,7 +59,8 @@ def fast_pieces(
     ------
     NotPlainError
         If a line has another number of entries than the headings or none, an entry of a column of numbers is no plain
-        number, or one of a column of text has spaces or quotes around it, or is not valid in UTF-8.
+        number, one of a column of text has quotes within spaces or is not valid in UTF-8, or one goes over several
+        lines.
     """
     if lines.comment or not lines.is_ascii_like or lines.separator == " ":
         raise NotPlainError(0)
@@ -57,23 +70,25 @@ def fast_pieces(
     done = 0
     held: list[pa.RecordBatch] = []
     n_held = 0
+    options: dict[str, Any] = {
+        "read_options": pyarrow.csv.ReadOptions(column_names=names, skip_rows=0 if offset else lines.skip + 1),
+        "parse_options": pyarrow.csv.ParseOptions(delimiter=lines.separator, ignore_empty_lines=False),
+        "convert_options": pyarrow.csv.ConvertOptions(
+            column_types=types,
+            include_columns=list(types),
+            null_values=sorted(MISSING),
+            strings_can_be_null=True,
+            decimal_point=lines.decimal,
+        ),
+    }
     try:
-        with pyarrow.csv.open_csv(
-            file,
-            read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=lines.skip + 1),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=lines.separator, ignore_empty_lines=False),
-            convert_options=pyarrow.csv.ConvertOptions(
-                column_types=types,
-                include_columns=list(types),
-                null_values=sorted(MISSING),
-                strings_can_be_null=True,
-                decimal_point=lines.decimal,
-            ),
-        ) as batches:
-            for batch in batches:
-                if not all(_is_bare(batch.column(place[heading])) for heading in wanted if heading in text):
+        with file.open("rb") as of_file:
+            of_file.seek(offset or 0)
+            watched = _Watched(of_file)
+            for batch in pyarrow.csv.open_csv(watched, **options):
+                if watched.is_odd:
                     raise NotPlainError(done)
-                held.append(batch)
+                held.append(_trimmed(batch, [place[heading] for heading in wanted if heading in text], done))
                 n_held += batch.num_rows
                 while n_row is not None and n_held >= n_row:
                     whole = pa.Table.from_batches(held).rename_columns(list(wanted))
@@ -83,8 +98,50 @@ def fast_pieces(
                     held = whole.slice(n_row).rename_columns(list(types)).to_batches()
     except pa.ArrowInvalid as error:
         raise NotPlainError(done) from error
+    if watched.is_odd:
+        raise NotPlainError(done)
     if n_held:
         yield pa.Table.from_batches(held).rename_columns(list(wanted))
+
+
+class _Watched(io.RawIOBase):
+    """A file that the parser reads, and that looks for quotes that are open at the end of a line.
+
+    Of one that is never closed the parser makes an entry of all that follows, and says nothing.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__()
+        self._file = file
+        self._open = 0
+        self.is_odd = False
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        block = self._file.read(size)
+        if not self.is_odd and (self._open or b'"' in block):
+            signs = np.frombuffer(block, dtype=np.uint8)
+            count = self._open + np.cumsum(signs == _QUOTE)
+            self.is_odd = bool((count[(signs == _LINE_END) | (signs == _RETURN)] % 2).any())
+            self._open = int(count[-1]) % 2 if len(count) else self._open
+        return block
+
+
+def _trimmed(batch: pa.RecordBatch, text: Sequence[str], done: int) -> pa.RecordBatch:
+    """Return columns of text without spaces around the entries; quotes behind these are not plain."""
+    for name in text:
+        column = batch.column(name)
+        if _is_bare(column):
+            continue
+        column = pc.utf8_trim(column, characters=SPACES)
+        missing = pc.is_in(column, value_set=pa.array(sorted(MISSING)))
+        column = pc.if_else(missing, pa.scalar(None, pa.string()), column)
+        if not _is_bare(column):
+            raise NotPlainError(done)
+        batch = batch.set_column(batch.schema.get_field_index(name), name, column)
+    return batch
 
 
 def _is_bare(column: pa.Array) -> bool:

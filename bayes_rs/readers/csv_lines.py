@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import codecs
 import csv
+import io
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from bayes_rs.readers.format import FileFormat
 
@@ -21,7 +25,10 @@ MISSING = frozenset(
 )  # fmt: skip
 """What stands for a missing entry in text files, whatever the options say."""
 
+SPACES = " \t\n\r\v\f"
+_MOST_LINES = 100  # of one quoted entry
 _TAIL = 1 << 16
+_BLOCK = 1 << 20
 _LEAST_ROWS = 3
 
 
@@ -53,17 +60,54 @@ class Lines:
         return not codecs.lookup(self.encoding).name.startswith(("utf-16", "utf-32"))
 
     @contextmanager
-    def opened(self, file: Path) -> Iterator[Iterator[str]]:
-        """Give the lines of a file; bytes that are not valid in the encoding become `NO_CHARACTER`."""
-        with file.open(encoding=self.encoding, errors="replace", newline=None) as text:
-            yield iter(text)
+    def opened(self, file: Path, offset: int = 0) -> Iterator[Iterator[str]]:
+        """Give the lines of a file from a byte on, those of one quoted entry together.
+
+        Bytes that are not valid in the encoding become `NO_CHARACTER`.
+        """
+        with file.open("rb") as binary:
+            binary.seek(offset)
+            with io.TextIOWrapper(binary, encoding=self.encoding, errors="replace", newline=None) as text:
+                yield self._whole(text)
+
+    def _whole(self, text: Iterator[str]) -> Iterator[str]:
+        """Put the lines together that a quoted entry goes over; a quote that is never closed is a sign like others."""
+        ahead: deque[str] = deque()
+        while (line := _next(ahead, text)) is not None:
+            if '"' in line and self._is_open(line):
+                joined, more = line, list[str]()
+                while len(more) < _MOST_LINES and (after := _next(ahead, text)) is not None:
+                    more.append(after)
+                    joined += after
+                    if '"' in after and not self._is_open(joined):
+                        line = joined
+                        break
+                else:
+                    ahead.extendleft(reversed(more))
+            yield line
+
+    def _is_open(self, line: str) -> bool:
+        """Say whether a quoted entry goes on in the next line."""
+        try:
+            list(csv.reader([line], delimiter=self.separator, skipinitialspace=True, strict=True))
+        except csv.Error as error:
+            return "unexpected end" in str(error)
+        return False
 
     def cells(self, line: str) -> list[str]:
         """Return the entries of a line, without spaces around them."""
         if '"' in line:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))]
-        parts = line.split() if self.separator == " " else line.split(self.separator)
-        return [part.strip() for part in parts]
+            try:
+                parts = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+            except csv.Error:
+                parts = line.split(self.separator)
+        else:
+            parts = line.split() if self.separator == " " else line.split(self.separator)
+        return [part.strip(SPACES) for part in parts]
+
+
+def _next(ahead: deque[str], text: Iterator[str]) -> str | None:
+    return ahead.popleft() if ahead else next(text, None)
 
 
 def lines_of(file: Path, file_format: FileFormat, skip: int) -> Lines:
@@ -76,6 +120,27 @@ def lines_of(file: Path, file_format: FileFormat, skip: int) -> Lines:
     elif mark.startswith(codecs.BOM_UTF8):
         encoding = "utf-8-sig"
     return Lines(encoding, file_format.separator, file_format.decimal, file_format.comment, skip)
+
+
+def offset_behind(file: Path, lines: Lines, offset: int, n_line: int, *, quotes: bool = False) -> int | None:
+    """Return at which byte a number of lines from another byte on ends, or None where that cannot be told by counting.
+
+    That is where characters are more than a byte, lines end otherwise, or there are quotes, which may hold line ends,
+    unless these are said to hold none.
+    """
+    if not lines.is_ascii_like:
+        return None
+    with file.open("rb") as binary:
+        binary.seek(offset)
+        while n_line and (block := binary.read(_BLOCK)):
+            ends = np.flatnonzero(np.frombuffer(block, dtype=np.uint8) == ord("\n"))
+            if len(ends) >= n_line:
+                block = block[: int(ends[n_line - 1]) + 1]
+            n_line -= min(n_line, len(ends))
+            if (b'"' in block and not quotes) or block.count(b"\r") != block.count(b"\r\n"):
+                return None
+            offset += len(block)
+    return None if n_line else offset
 
 
 def last_row_is_cut(file: Path, lines: Lines, *, last_is_used: bool) -> bool:

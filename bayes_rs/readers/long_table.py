@@ -17,14 +17,12 @@ from bayes_rs.readers.beam_ranges import BeamRanges, match_ranges, no_range
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.samples import Samples
+from bayes_rs.readers.samples import ROWS_AT_ONCE, Samples, joined
 from bayes_rs.readers.table import TABLE_SUFFIXES, Column, Table, open_table
 from bayes_rs.readers.unnamed_ranges import check_one_place, like_ranges
 
 ALSO_STATUS = "quality"
 _NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
-_AT_ONCE = 500_000
-"""Rows that are read at a time where only their ranges are looked for."""
 
 
 def looks_long(table: Table) -> bool:
@@ -40,7 +38,7 @@ def read_long(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     InputError
         If a column is missing or an entry cannot be used.
     """
-    return next(_pieces(file, scan, file_format, None))
+    return joined(_pieces(file, scan, file_format, ROWS_AT_ONCE))
 
 
 def long_pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
@@ -66,13 +64,13 @@ def _ranges(table: Table) -> FloatArray:
             raise table.missing("range")
         return np.zeros(0)
     found = np.zeros(0)
-    for frame, before in table.pieces([heading], n_row=_AT_ONCE):
+    for frame, before in table.pieces([heading], n_row=ROWS_AT_ONCE):
         values, _ = numbers(table.column(frame, "range", heading, before), table.file_format)
         found = np.union1d(found, values[np.isfinite(values)])
     return found
 
 
-def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) -> Iterator[Samples]:
+def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
     table = open_table(file, file_format)
     heading = {name: file_format.column(name) for name in _NAMES}
     if "status" not in file_format.columns and not table.has("status") and ALSO_STATUS in table.headings:
@@ -95,8 +93,6 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
         for other in unused:
             values = pd.to_numeric(frame[other], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
             check_one_place(known, other, samples.beam, values[samples.row - column["time"].first_row], file)
-        if n_row is None:
-            table.bad.check(len(frame))
         yield replace(samples, like_ranges=unused)
 
 

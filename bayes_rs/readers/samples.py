@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,8 @@ from bayes_rs.quality.samples import distinct, is_sorted
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.unnamed_ranges import several_in_words
 
+ROWS_AT_ONCE = 500_000
+"""Rows of a table that are read at a time, if nobody says how many: they take less memory than all."""
 _FEW = 3
 _RARE = 0.01
 """Samples, and their share, that may be of one beam and time and differ, as after a clock was set back: sorting has to
@@ -76,6 +78,26 @@ class FilesReport:
 
     skipped: Sequence[Mapping[str, str]] = ()
     passed_over: Mapping[str, int] = field(default_factory=dict)
+
+
+def joined(parts: Iterable[Samples]) -> Samples:
+    """Return the pieces of one file as one."""
+    pieces = list(parts)
+    counts = {
+        name: sum(part.counts.get(name, 0) for part in pieces)
+        for name in dict.fromkeys(name for part in pieces for name in part.counts)
+    }
+
+    def whole(name: str) -> Any:
+        values = [getattr(part, name) for part in pieces]
+        return values[0] if len(values) == 1 or values[0] is None else np.concatenate(values)
+
+    return replace(
+        pieces[0],
+        **{name: whole(name) for name in ("time", "beam", "radial_velocity", "cnr", "status", "row")},
+        counts=counts,
+        facts={name: value for part in reversed(pieces) for name, value in part.facts.items()},
+    )
 
 
 def no_sample(file: Path, n_row: int, n_cut: int = 0) -> InputError:

@@ -19,13 +19,15 @@ from bayes_rs.readers.bad_rows import BadRows
 from bayes_rs.readers.compressed import UNREADABLE, plain_suffix, unreadable
 from bayes_rs.readers.csv_careful import careful_pieces
 from bayes_rs.readers.csv_fast import NotPlainError, fast_pieces
-from bayes_rs.readers.csv_lines import NO_CHARACTER, Lines, last_row_is_cut, lines_of
+from bayes_rs.readers.csv_lines import NO_CHARACTER, Lines, last_row_is_cut, lines_of, offset_behind
 from bayes_rs.readers.format import FileFormat
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv")
 PARQUET_SUFFIXES = (".parquet", ".pq")
 TABLE_SUFFIXES = (*CSV_SUFFIXES, *PARQUET_SUFFIXES)
 
+CAREFUL_ROWS = 50_000
+"""Rows that are read carefully, at least, before the fast way is tried again."""
 _LONGEST_HEADING = 1000  # characters; a file without a line end is no table
 _INDEX = re.compile(r"__index_level_\d+__")  # what pandas calls an index without a name
 
@@ -166,15 +168,35 @@ class Table:
     def _fast_or_careful(
         self, lines: Lines, headings: list[str], text: Sequence[str], n_row: int | None
     ) -> Iterator[pa.Table]:
-        try:
-            yield from fast_pieces(self.file, lines, self.headings, headings, text=text, n_row=n_row)
-        except NotPlainError as error:
-            done = error.done
-        else:
-            return
-        yield from careful_pieces(
-            self.file, lines, self.headings, headings, self.bad, text=text, n_row=n_row, done=done
-        )
+        """Read fast what is plain, carefully what is not, and then try the fast way again, if the place is known."""
+        offset: int | None = None
+        done, head = 0, lines.skip + 1
+        while True:
+            try:
+                yield from fast_pieces(self.file, lines, self.headings, headings, text=text, n_row=n_row, offset=offset)
+            except NotPlainError as error:
+                done += error.done
+                behind = None
+                if n_row:
+                    behind = offset_behind(self.file, lines, 0, head, quotes=True) if offset is None else offset
+                if behind is not None:
+                    behind = offset_behind(self.file, lines, behind, error.done)
+            else:
+                return
+            stretch = -(-CAREFUL_ROWS // n_row) * n_row if n_row and behind is not None else None
+            n_read = 0
+            for part in careful_pieces(
+                self.file, lines, self.headings, headings, self.bad, text=text, n_row=n_row, done=done, offset=behind
+            ):
+                yield part
+                n_read += len(part)
+                if n_read == stretch:
+                    offset = offset_behind(self.file, lines, behind or 0, n_read)
+                    if offset is not None:
+                        break
+            else:
+                return
+            done += n_read
 
     def _parquet_tables(self, headings: list[str], n_row: int | None) -> Iterator[pa.Table]:
         names = {heading.strip(): heading for heading in _parquet_names(self.file)}

@@ -14,7 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beam_number, numbers, times, unknown_beam
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.samples import Samples
+from bayes_rs.readers.samples import ROWS_AT_ONCE, Samples, joined
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 
 _HEADING = re.compile(r"(?:(vr|beam|cnr|status|quality)_)?(-?\d+)")
@@ -67,7 +67,7 @@ def read_wide(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     InputError
         If there is no column for time or for any beam, or an entry cannot be used.
     """
-    return next(_pieces(file, scan, file_format, None))
+    return joined(_pieces(file, scan, file_format, ROWS_AT_ONCE))
 
 
 def wide_pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
@@ -75,7 +75,7 @@ def wide_pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> 
     return _pieces(file, scan, file_format, n_row)
 
 
-def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) -> Iterator[Samples]:
+def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int) -> Iterator[Samples]:
     table = open_table(file, file_format)
     if not table.has("time"):
         raise table.missing("time")
@@ -91,10 +91,7 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
         )
     wanted = [file_format.column("time"), *(heading for part in found.values() for heading in part.values())]
     for frame, before in table.pieces(list(dict.fromkeys(wanted)), text=[file_format.column("time")], n_row=n_row):
-        samples = _samples(table, found, frame, before)
-        if n_row is None:
-            table.bad.check(len(frame))
-        yield samples
+        yield _samples(table, found, frame, before)
 
 
 def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.DataFrame, before: int) -> Samples:
