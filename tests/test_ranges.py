@@ -15,7 +15,9 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan, distances_at, short
 from bayes_rs.records import at_range, open_records, store_records, stream_records
 from bayes_rs.records.flags import BEAM_FLAGS
+from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.result_folder import open_result_folder
+from bayes_rs.wind.motion import add_motion
 
 HEIGHTS = (80.0, 120.0, 200.0)
 DURATION = 600.0
@@ -307,6 +309,20 @@ class TestRecordsAtRanges:
             brs.spectra.radial_spectra(series, scan, at_range(records, height=80.0))
         with pytest.raises(InputError, match=words):
             brs.wind.reconstruct_pairs(series, scan)
+
+    def test_each_range_gets_the_motion_of_the_lidar(self, records, tmp_path):
+        moved = tmp_path / "motion.csv"
+        stamps = pd.date_range("2024-03-01T00:00", periods=240, freq="10s")
+        pd.DataFrame({"time": stamps, "tilt_deg": np.linspace(0.0, 2.0, 240)}).to_csv(moved, index=False)
+        columns = {"time": "time", "tilt_deg": "tilt_deg"}
+        options = brs.records.RecordOptions(motion=[moved], motion_columns=columns)
+        found = add_motion(records, scan_at(120.0), options)
+        assert found["tilt"].dims == ("range", "record")
+        for height in HEIGHTS:
+            own = at_range(records, height=height)
+            alone = add_motion(own, scan_of_records(own, scan_at(120.0)), options)
+            for name in ("tilt", "wind_speed", "yaw"):
+                np.testing.assert_array_equal(alone[name].values, at_range(found, height=height)[name].values)
 
     def test_a_range_is_taken_by_what_is_near(self, records):
         assert at_range(records, height=118.0).attrs["height"] == pytest.approx(120.0, rel=1e-3)

@@ -29,7 +29,7 @@ from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
-from bayes_rs.records.ranges import each_range, scan_of_records
+from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
@@ -121,9 +121,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         at_ranges = scan_of_records(records, scan)
         if isinstance(at_ranges, RangedScan):
             check_no_noise(noise, at_ranges)
-            records = each_range(
-                records, at_ranges, lambda part, one: add_motion(part, one, settings.records, settings.files)
-            )
+            records = add_motion(records, scan, settings.records, settings.files)
             sections = _other_sections(settings, None)
             job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
             fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)

@@ -15,6 +15,7 @@ from bayes_rs._validation import FloatArray, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.geometry.attitude import level_direction, roll_matrix
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan, tilt_matrix, yaw_matrix
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.belief import MOST_ANGLE, in_words, is_impossible
@@ -23,6 +24,7 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import Column, open_table
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.making import make_records
+from bayes_rs.records.ranges import each_range, scan_of_records
 from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.wind.mean_vector import mean_wind
 
@@ -163,7 +165,7 @@ def add_motion(
     Parameters
     ----------
     records : xarray.Dataset
-        From `make_records`.
+        From `make_records`, also at several ranges.
     scan : Scan, str or Path
         The scan that they were measured with, its name or its file.
     options : RecordOptions
@@ -193,6 +195,9 @@ def add_motion(
         **{"invalid": scan.file_format.get("invalid", ())}
         | {name: written[name] for name in _OF_BOTH if name in written},
     )
+    at_ranges = scan_of_records(records, scan)
+    if isinstance(at_ranges, RangedScan):
+        return each_range(records, at_ranges, lambda part, one: with_motion(part, motion, one))
     return with_motion(records, motion, scan)
 
 
