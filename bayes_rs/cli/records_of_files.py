@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -44,7 +46,39 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     if made is not None:
         refuse_for_records(settings.files.files)
         return made, scan
-    return records_of(series_of(settings, scan), scan, settings), scan
+    if settings.quality.blade_frequency is not None:  # whether blades pass is a matter of the whole series
+        return records_of(series_of(settings, scan), scan, settings), scan
+    return _finished(_records_in_pieces(settings, scan), scan, settings), scan
+
+
+def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
+    """Make records as `fit` does, piece by piece, with memory that does not grow with the files."""
+    from bayes_rs.begin_folder import begin_result_folder
+    from bayes_rs.records.record_store import store_records
+
+    with TemporaryDirectory(prefix="bayes-rs-") as place:
+        try:
+            with begin_result_folder(Path(place) / "records", key="records", key_parts={}) as folder:
+                return store_records(
+                    list(settings.files.files),
+                    scan,
+                    folder,
+                    reading=settings.files,
+                    quality=settings.quality,
+                    say=lambda line: click.echo(line, err=True),
+                    workers=settings.output.workers,
+                    **record_keywords(settings),
+                ).records
+        except BaseException as error:
+            getattr(error, "__notes__", []).clear()  # nothing is kept that one could go on from
+            raise
+
+
+def record_keywords(settings: Settings) -> dict[str, Any]:
+    """Return the options of records that are made of a series, as keywords."""
+    from bayes_rs.options import to_plain
+
+    return {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
 
 
 def with_scan(settings: Settings) -> Settings:
@@ -63,13 +97,16 @@ def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
 
 def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
     """Make records, and say on stderr what was read and dropped."""
-    from bayes_rs.options import to_plain
     from bayes_rs.records.making import make_records
+
+    return _finished(make_records(series, scan, quality=settings.quality, **record_keywords(settings)), scan, settings)
+
+
+def _finished(made: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
+    """Say on stderr what was read and dropped, and add the motion of the lidar."""
     from bayes_rs.records.report import describe_report
     from bayes_rs.wind.motion import add_motion
 
-    own = {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
-    made = make_records(series, scan, quality=settings.quality, **own)
     for line in describe_report(made):
         click.echo(line, err=True)
     made = add_motion(made, scan, settings.records, settings.files)
