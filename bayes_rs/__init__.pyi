@@ -29,6 +29,7 @@ from .fits.from_files import fit_files as fit_files
 from .fits.gradient_sight import inflow_confounding as inflow_confounding
 from .fits.inflow_comparison import compare_inflow as compare_inflow
 from .fits.prior_check import prior_sensitivity as prior_sensitivity
+from .fits.ranged_fit import RangedFit as RangedFit
 from .fits.settings import Settings as Settings
 from .geometry.scan import Scan as Scan
 from .geometry.scan_file import load_scan as load_scan

@@ -103,6 +103,50 @@ def begin_result_folder(
             raise
 
 
+def inner_is_done(folder: ResultFolder, name: str, *, key: str) -> bool:
+    """Tell whether an earlier run has finished a folder in a folder of results, and nothing of it was changed since."""
+    path = folder.path / name
+    ledger = read_ledger(path)
+    if ledger is None or ledger.damaged or not ledger.finished or ledger.key != key:
+        return False
+    return not ResultFolder(path, ledger).damaged()
+
+
+@contextmanager
+def begin_inner_folder(path: Path, *, key: str, key_parts: Mapping[str, Any]) -> Iterator[ResultFolder]:
+    """Make a folder of results in another one that is open for writing, or go on in that of an interrupted run.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; `ResultFolder.note_inner` has listed it in the one that it lies in, whose lock is its own, too.
+    key, key_parts
+        As for `begin_result_folder`. A folder with another key is made anew.
+
+    Yields
+    ------
+    inner : ResultFolder
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds what we did not write, or cannot be written.
+    """
+    try:
+        if path.exists():
+            check_place(path)
+            if _key_of(path)[0] == key:
+                yield _resumed(path, path, key, key_parts)
+                return
+            reason = remove_ours(path)
+            if reason:
+                raise InputError(f"Output folder {str(path)!r} {reason}")
+        yield _made(path, path, key, key_parts)
+    except OSError as error:
+        raise _cannot(path, error) from error
+
+
 def _cannot(final: Path, error: OSError) -> InputError:
     return cannot_write("the output folder ", final, error, "give a folder that can be written")
 

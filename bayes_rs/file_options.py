@@ -15,21 +15,25 @@ from bayes_rs._validation import check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.options import described, option, options_of
 
-NAMES = ("time", "beam", "radial_velocity", "cnr", "status")
-DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance")
+NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
+ALL_RANGES = "all"
+"""What the option range is for all ranges that the files have."""
+DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance", "height", "gate")
 """What a table of rays calls where each of them points, in place of a beam's number."""
 SIGNS = ("away", "towards")
 TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
-TIME_FORMATS = ("unix", "labview", "matlab")
+TIME_FORMATS = ("unix", "unix-ms", "unix-us", "unix-ns", "labview", "matlab")
 VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0, "cm/s": 0.01, "mm/s": 0.001}
 VELOCITY_LIMIT = 90.0
 """m/s; faster than any wind near the ground, and slower than the numbers that mark a missing entry, from 99 on."""
+GATES_BY = ("distance", "height")
 DECIMALS = (".", ",")
 TURNS = ("up", "down")
 OUT_OF_ORDER = ("error", "sort")
 ON_BAD_FILE = ("error", "skip")
+BAD_ROWS = ("error", "drop")
 
-OF_READING = ("file_format", "out_of_order", "on_bad_file")
+OF_READING = ("file_format", "out_of_order", "bad_rows", "on_bad_file")
 """Options that are a matter of one reading, not of an instrument: a scan's ``[file]`` table does not have them."""
 
 _WIDE_NAME = re.compile(r"(?:(?:vr|beam|cnr|status)_)?-?\d+")
@@ -53,13 +57,16 @@ class FileOptions:
     table, which counts before the default of the file's format, which counts before the general default: positive
     away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
 
-    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr`` and ``status``; in files of rays also
-    ``azimuth``, ``elevation``, ``distance``, ``sx``, ``sy`` and ``phase``. In a file without headings a column is its
-    number, from 1. ``beam_numbers``, if given, must name every beam of the files. ``time_zone`` is of text and Parquet
-    files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or 1904)
+    ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr``, ``status`` and ``range``, the distance along
+    the beam in m: of a table with several, the rows at the scan's distances are read. In files of rays it also names
+    ``azimuth``, ``elevation``, ``distance`` (or ``range``), ``height``, ``gate``, ``sx``, ``sy`` and ``phase``. In a
+    file without headings a column is its number, from 1. ``beam_numbers``, if given, must name every beam of the files.
+    ``time_zone`` is of text and Parquet files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or
+    ``labview`` (seconds since 1970 or 1904), ``unix-ms``, ``unix-us`` or ``unix-ns`` (milli-, micro- or nanoseconds),
     or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
     times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
-    of their spacing of the focus distance, unless ``range_tolerance`` is given. Every format with its source, sign,
+    of their spacing of the focus distance, unless ``range_tolerance`` is given. With ``range`` or ``height`` the beams
+    are read at each of several distances, which stay apart: each gets its own R. Every format with its source, sign,
     stamp and zone stands in docs/formats.md.
 
     Examples
@@ -93,7 +100,8 @@ class FileOptions:
     )
     time_zone: str | None = option(None, "Zone of times that carry none, as UTC, UTC+1 or Europe/Berlin")
     time_format: str | None = option(
-        None, "How times are written if not in ISO 8601: a pattern as %d.%m.%Y %H:%M:%S, or unix, labview or matlab"
+        None,
+        "How times are written if not in ISO 8601: a pattern as %d.%m.%Y %H:%M:%S, or unix, unix-ms, labview, matlab",
     )
     time_stamp: str | None = option(
         None, "What a time in the files stands for: the start, middle or end of a sample", choices=tuple(TIME_STAMPS)
@@ -103,12 +111,35 @@ class FileOptions:
     )
     separator: str | None = option(None, "What separates the entries of a text file: one character, or tab")
     decimal: str | None = option(None, "Decimal sign of a text file", choices=DECIMALS)
+    skip_rows: int | None = option(None, "Lines above the headings of a text file, which are skipped")
+    comment: str | None = option(None, "What a line of a text file begins with that is no row, as #")
+    encoding: str | None = option(
+        None, "Encoding of a text file, as cp1252; by default UTF-8, or UTF-16 where its byte-order mark says so"
+    )
     status_valid: float | None = option(None, "Status of a good sample; the others are dropped when records are made")
     angle_tolerance_deg: float | None = option(
         None, "Largest angle between a ray and its beam", unit="degrees", flag="--angle-tolerance"
     )
     range_tolerance: float | None = option(
         None, "Largest difference between a gate and a beam's focus distance", unit="m"
+    )
+    gate_length: float | None = option(
+        None, "Length of a range gate in files that only number their gates: gate n is at (n + ½) of it", unit="m"
+    )
+    range: str | float | Sequence[float] | None = option(
+        None,
+        "Distances along the beams at which R is wanted, each by itself, or all that the files have",
+        unit="m",
+        metavar="M,M,...|all",
+    )
+    height: float | Sequence[float] | None = option(
+        None,
+        "Heights above a lidar that looks up at which R is wanted, in place of distances",
+        unit="m",
+        metavar="M,M,...",
+    )
+    gates_by: str | None = option(
+        None, "What to believe where a file's distances of gates contradict their heights", choices=GATES_BY
     )
     phase_zero_deg: float | None = option(
         None, "Where on its cone a ZX's phase is zero: 0 is sideways (y), 90 up", unit="degrees", flag="--phase-zero"
@@ -118,6 +149,11 @@ class FileOptions:
         "error",
         "What to do where time goes backwards, or a beam has two velocities at one time: refuse, or sort",
         choices=OUT_OF_ORDER,
+    )
+    bad_rows: str = option(
+        "error",
+        "What to do with rows of a table that cannot be read: refuse the first, or drop and count them (at most 1 %)",
+        choices=BAD_ROWS,
     )
     on_bad_file: str = option(
         "error",
@@ -150,14 +186,21 @@ class FileOptions:
             ("velocity_unit", tuple(VELOCITY_UNITS)),
             ("time_stamp", tuple(TIME_STAMPS)),
             ("decimal", DECIMALS),
+            ("gates_by", GATES_BY),
             ("phase_turns", TURNS),
             ("out_of_order", OUT_OF_ORDER),
+            ("bad_rows", BAD_ROWS),
             ("on_bad_file", ON_BAD_FILE),
         ):
             put(name, _choice, choices=choices)
         put("invalid", _numbers)
+        put("range", _distances)
+        put("height", _distances)
         put("time_format", _time_format)
         put("separator", _separator)
+        put("skip_rows", _count)
+        put("comment", _comment)
+        put("encoding", _encoding)
         put("status_valid", _number, check=check_finite, unit="")
         put("phase_zero_deg", _number, check=check_finite, unit="degrees")
         for name, unit in (
@@ -165,6 +208,7 @@ class FileOptions:
             ("sample_duration", "s"),
             ("angle_tolerance_deg", "degrees"),
             ("range_tolerance", "m"),
+            ("gate_length", "m"),
         ):
             put(name, _number, check=check_positive, unit=unit)
         if self.time_zone is not None:
@@ -231,6 +275,18 @@ def _numbers(value: float | Sequence[float], *, what: str) -> tuple[float, ...]:
     return tuple(_number(item, what=f"entry of {what}", check=check_finite, unit="") for item in items)
 
 
+def _distances(value: Any, *, what: str) -> str | tuple[float, ...]:
+    if what == "range" and isinstance(value, str):
+        if value != ALL_RANGES:
+            raise InputError(f"Invalid range {in_short(value)}: it must be numbers in m, or the word {ALL_RANGES}.")
+        return value
+    items = list(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else [value]
+    found = tuple(_number(item, what=f"entry of {what}", check=check_positive, unit="m") for item in items)
+    if not found:
+        raise InputError(f"Invalid {what} []: it must name at least one distance, in m.")
+    return found
+
+
 def _mapping(value: object, *, what: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise InputError(f"Invalid {what} {in_short(value)}: it must be a mapping from names to names or numbers.")
@@ -280,6 +336,29 @@ def _time_format(value: object, *, what: str) -> str:
             "such as '%d.%m.%Y %H:%M:%S'; join the date and the time of day in one column, if the files have two."
         )
     return value
+
+
+def _count(value: object, *, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be a whole number, zero or above.")
+    return int(value)
+
+
+def _comment(value: object, *, what: str) -> str:
+    if not isinstance(value, str) or not value.strip() or not value.isprintable() or value.strip() != value:
+        raise InputError(f"Invalid {what} {in_short(value)}: it must be what such lines begin with, as '#'.")
+    return value
+
+
+def _encoding(value: object, *, what: str) -> str:
+    try:
+        "".encode(_text(value, what=what))  # codecs that are no text's are refused, too
+    except (LookupError, ValueError) as error:
+        raise InputError(
+            f"Unknown {what} {in_short(value)}: it must be an encoding that Python knows, such as utf-8, cp1252, "
+            "latin-1 or utf-16."
+        ) from error
+    return str(value)
 
 
 def _separator(value: object, *, what: str) -> str:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from bayes_rs.errors import InputError
-from bayes_rs.ledger import HALF, LEDGER, Ledger, fingerprint_of_file, read_ledger
+from bayes_rs.ledger import HALF, LEDGER, Ledger, fingerprint_of, fingerprint_of_file, read_ledger
 
 MARK = f"{HALF}partial"
 """File in a folder that a run fills beside the one that it replaces: a folder that only has such a name has it not."""
@@ -145,8 +145,20 @@ def _judged(folder: Path) -> Iterator[tuple[Path, str]]:
             words = f"was not made by bayes-rs (it has no {LEDGER}), so it is not replaced"
             yield folder, f"{words}: give another name, or remove it yourself."
         return
+    inner: list[Path] = []
+    for place in sorted(folder.iterdir()):
+        if place.is_dir() and not place.is_symlink() and _is_inner(place, ledger):  # it has a list of its own
+            yield from _judged(place)
+            inner.append(place)
     for path in _entries(folder):
-        yield path, _reason(path, path.relative_to(folder).as_posix(), ledger)
+        if not any(place in path.parents for place in inner):
+            yield path, _reason(path, path.relative_to(folder).as_posix(), ledger)
+
+
+def _is_inner(place: Path, ledger: Ledger) -> bool:
+    """Tell whether a folder is one that the run which wrote the list made in its own: of the key that it noted."""
+    own = read_ledger(place)
+    return own is not None and own.key is not None and ledger.wrote(place.name, fingerprint_of(own.key.encode()))
 
 
 def _reason(path: Path, name: str, ledger: Ledger) -> str:

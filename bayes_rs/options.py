@@ -12,6 +12,7 @@ import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
@@ -99,12 +100,18 @@ class Option:
 
 def options_of(cls: type) -> list[Option]:
     """Return the options of a class, in the order of their fields."""
+    return list(_options_of(cls))
+
+
+@lru_cache(maxsize=64)
+def _options_of(cls: type) -> tuple[Option, ...]:
+    """Return the options of a class: its hints are looked up once, and not for every file that is read."""
     hints = get_type_hints(cls)
-    return [
+    return tuple(
         Option(entry.name, hints[entry.name], _default(entry), entry.metadata[_KEY])
         for entry in fields(cls)
         if _KEY in entry.metadata
-    ]
+    )
 
 
 def described(cls: type[_Class]) -> type[_Class]:

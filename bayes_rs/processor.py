@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -51,8 +54,21 @@ def note_processor(kinds: list[str], kind: str) -> bool:
     return True
 
 
+def end_with(parent: int) -> None:
+    """End this process when the one that started it is gone: killed, it could not say goodbye."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Have BLAS calculate with one thread: sums are then in one order, whatever the number of cores."""
+    import scipy.linalg  # noqa: F401, PLC0415 - it brings a BLAS of its own, and only one that is there is limited
+
     with threadpool_limits(1):
         yield

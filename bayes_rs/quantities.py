@@ -60,6 +60,9 @@ LIMITS: dict[str, Limits] = {
     "length_scale_prior": Limits(1e-3, 1e5, "60 m and 0.8 are usual"),
     # geometry, m, degrees and rad
     "focus_distance": _LENGTH,
+    "distance": _LENGTH,
+    "range": _LENGTH,
+    "height": _LENGTH,
     "separation": Limits(-1e18, 1e18),
     "position": Limits(-1e6, 1e6),
     "rotor_radius": _LENGTH,

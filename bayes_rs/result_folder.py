@@ -194,6 +194,19 @@ class ResultFolder:
         """Write a text as UTF-8, as `write` does."""
         self.write_bytes(name, text.encode("utf-8"))
 
+    def note_inner(self, name: str, key: str) -> None:
+        """List a folder in this one that has a list of its own, by its key, before it is made.
+
+        Raises
+        ------
+        InputError
+            If there is a link of that name.
+        """
+        self._place_for(name)
+        noted = fingerprint_of(key.encode())
+        append_to_ledger(self.path, name, noted, beside=True)
+        self._ledger.put(name, noted, beside=True)
+
     def remove(self, name: str) -> None:
         """Remove a file of the folder, and the folders that are empty then; nothing if it is not listed.
 

@@ -2,7 +2,8 @@
 
 The day is simulated and written to FOLDER as one CSV file of 4.3 million rows, unless it is there. Printed are the
 seconds of reading, noise and fit, the largest memory of this process and of a worker, and the flags; with --profile,
-where the time of reading goes.
+where the time of reading goes; with --reading, the CPU time from the file to records beside that of Arrow's plain read,
+and the memory of it for one day and for two.
 """
 
 import argparse
@@ -12,6 +13,8 @@ import pstats
 import resource
 import shutil
 import time
+from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +25,7 @@ import bayes_rs as brs
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.readers.reading import FileOptions
 from bayes_rs.records.record_store import store_records
+from bayes_rs.records.stream import stream_records
 
 START = np.datetime64("2020-09-04", "ns")
 RECORDS = 144
@@ -37,6 +41,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--repeat", type=int, default=1)
     parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--reading", action="store_true")
     arguments = parser.parse_args()
     scan = brs.load_scan(arguments.scan)
     file = arguments.folder / f"{arguments.scan}-day.csv"
@@ -45,6 +50,9 @@ def main() -> None:
     print(f"{file.stat().st_size / 1e6:.0f} MB, load {os.getloadavg()[0]:.1f}", flush=True)
     if arguments.profile:
         profile(file, scan, arguments.folder / "store")
+        return
+    if arguments.reading:
+        reading(file, scan, arguments.repeat)
         return
     for _ in range(arguments.repeat):
         settings = brs.Settings().changed(
@@ -86,6 +94,57 @@ def write_day(file: Path, scan: brs.Scan) -> None:
             }
             pyarrow.csv.write_csv(pa.table(columns), sink, pyarrow.csv.WriteOptions(include_header=turn == 0))
     part.replace(file)
+
+
+def reading(file: Path, scan: brs.Scan, repeat: int) -> None:
+    """Print the CPU time of reading and making records, in multiples of that of Arrow's read, and the memory of it."""
+    two, few = file.with_name(f"two-{file.name}"), file.with_name(f"few-{file.name}")
+    with file.open(encoding="utf-8") as source, few.open("w", encoding="utf-8") as sink:
+        sink.writelines(islice(source, 100_000))
+    records_cpu(few, scan)  # what is loaded at the first use is not the file's
+    for one in (file, two):
+        if one is two:
+            add_next_day(file, two)
+        seconds = records_cpu(one, scan)
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{one.stat().st_size / 1e6:.0f} MB: {seconds:.2f} s of CPU, at most {most:.0f} MB", flush=True)
+    two.unlink()
+    few.unlink()
+    for _ in range(repeat):
+        arrow = min(cpu_of(lambda: pyarrow.csv.read_csv(file)) for _ in range(3))
+        ours = records_cpu(file, scan)
+        load = os.getloadavg()[0]
+        print(
+            f"Arrow {arrow:.2f} s, records {ours:.2f} s of CPU: {ours / arrow:.1f} times, load {load:.1f}", flush=True
+        )
+
+
+def add_next_day(file: Path, two: Path) -> None:
+    """Write a file that holds the day and the next."""
+    shutil.copy(file, two)
+    day, after = (
+        str(np.datetime_as_string(time, unit="D")).encode() for time in (START, START + np.timedelta64(1, "D"))
+    )
+    with file.open("rb") as source, two.open("ab") as sink:
+        next(source)
+        while block := source.readlines(1 << 24):
+            sink.write(b"".join(block).replace(day, after))
+
+
+def records_cpu(file: Path, scan: brs.Scan) -> float:
+    """Return the CPU seconds from a file to records, as a stream."""
+    return cpu_of(lambda: stream_records(brs.readers.stream(file, scan, positive=POSITIVE), scan))
+
+
+def cpu_of(job: Callable[[], object]) -> float:
+    """Return the CPU seconds of a job, those of its threads and children with it."""
+
+    def spent() -> float:
+        return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+    before = spent()
+    job()
+    return spent() - before
 
 
 def profile(file: Path, scan: brs.Scan, store: Path) -> None:

@@ -21,10 +21,10 @@ def _row(reader: Reader) -> tuple[str, ...]:
     return (
         f"`{reader.name}`",
         reader.title,
-        own + of.get("positive", "away"),
+        "must be given" if "positive" in reader.must_say else own + of.get("positive", "away"),
         f"{of['time_stamp']} of a sample" if "time_stamp" in of else "as it stands",
         of.get("time_zone", "UTC"),
         f"{min(invalid):g} to {max(invalid):g}" if invalid else "none",
-        own + (f"{status:g} is good" if status is not None else "–"),
+        (own if reader.name == "netcdf" else "") + (f"{status:g} is good" if status is not None else "–"),
         reader.source,
     )

@@ -25,6 +25,15 @@ def six_beam_hour() -> Path:
 
 
 @pytest.fixture(scope="session")
+def dbs_folder() -> Path:
+    """Folder of measured DBS files whose ranges are in another order than their rays; not copied into the project."""
+    folder = Path(__file__).parents[1].parent / "shared" / "data" / "dbs-2021-07-01"
+    if not folder.is_dir():
+        pytest.skip(f"NOT TESTED ON MEASURED DATA: no folder {folder}, see ../shared/data/dbs-2021-07-01/README.md")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def arviz():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported

@@ -144,6 +144,65 @@ def e_windlidar(rays: RayTable, *, time: str = "comment", accumulation: float | 
     return xr.Dataset(variables)
 
 
+def cfradial(rays: RayTable, *, velocity: str = "VEL", standard_name: str | None = None) -> xr.Dataset:
+    """Return rays as one sweep of a CfRadial file: singles for angles, the velocity with a fill value."""
+    dims = ("time", "range")
+    one_elevation = np.ptp(rays.distance, axis=0).max() == 0.0
+    attributes = {"units": "m/s", "long_name": "Doppler velocity"}
+    variables = {
+        "azimuth": ("time", rays.azimuth.astype(np.float32), {"units": "degrees", "_FillValue": np.float32(-9999.0)}),
+        "elevation": ("time", rays.elevation.astype(np.float32), {"units": "degrees", "positive": "up"}),
+        velocity: (dims, rays.velocity, attributes | ({"standard_name": standard_name} if standard_name else {})),
+        "SNR": (dims, rays.cnr, {"units": "dB"}),
+        "WIDTH": (dims, np.ones_like(rays.velocity), {"units": "m/s"}),
+        "sweep_mode": ("sweep", np.array([b"azimuth_surveillance"])),
+        "fixed_angle": ("sweep", [75.0], {"units": "degrees"}),
+    }
+    made = xr.Dataset(
+        variables,
+        coords={"time": ("time", rays.seconds, {"units": "seconds since 2000-01-01T00:00:00Z"})},
+        attrs={"Conventions": "CF/Radial instrument_parameters", "version": "1.3"},
+    )
+    attributes = {"units": "meters", "standard_name": "projection_range_coordinate"}
+    if one_elevation:
+        return made.assign_coords(range=("range", rays.distance[0], attributes))
+    return made.rename_dims(range="gate").assign(range=(("time", "gate"), rays.distance, attributes))
+
+
+def write_cfradial2(file: Path, *sweeps: xr.Dataset) -> Path:
+    """Write sweeps into groups, as version 2 has them."""
+    names = [f"sweep_{number}" for number in range(len(sweeps))]
+    root = xr.Dataset({"sweep_group_name": ("sweep", np.array(names, dtype=object))}, attrs={"version": "2.0"})
+    root.to_netcdf(file, engine="h5netcdf")
+    for name, sweep in zip(names, sweeps, strict=True):
+        sweep.drop_vars("sweep_mode").to_netcdf(file, group=name, mode="a", engine="h5netcdf")
+    return file
+
+
+def arm(rays: RayTable) -> xr.Dataset:
+    """Return rays as an ARM Doppler lidar's b1 file: singles, times since midnight with an offset of 0:00."""
+    dims, since = ("time", "range"), "seconds since 2000-01-01 00:00:00 0:00"
+    snr = 10.0 ** (0.1 * rays.cnr)
+    return xr.Dataset(
+        {
+            "base_time": ((), np.int32(946684800), {"units": "seconds since 1970-1-1 0:00:00 0:00"}),
+            "time_offset": ("time", rays.seconds, {"units": since}),
+            "azimuth": ("time", rays.azimuth.astype(np.float32), {"units": "degrees"}),
+            "elevation": ("time", rays.elevation.astype(np.float32), {"units": "degrees"}),
+            "radial_velocity": (
+                dims,
+                rays.velocity.astype(np.float32),
+                {"units": "m/s", "valid_min": np.float32(-20.0), "valid_max": np.float32(20.0)},
+            ),
+            "qc_radial_velocity": (dims, np.zeros(rays.velocity.shape, dtype=np.int32), {"units": "unitless"}),
+            "intensity": (dims, (snr + 1.0).astype(np.float32), {"units": "unitless"}),
+            "range": (dims, rays.distance.astype(np.float32), {"units": "m"}),
+        },
+        coords={"time": ("time", rays.seconds, {"units": since, "long_name": "Time offset from midnight"})},
+        attrs={"datastream": "sgpdlppiC1.b1", "dod_version": "dlppi-b1-1.1"},
+    )
+
+
 def mixed_hour(folder: Path, *, n_gate: int = 60, bursts: int = 6) -> Path:
     """Write 118 files of one lidar's hour: DBS cycles, stares at the zenith, and sweeps of both kinds.
 

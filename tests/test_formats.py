@@ -550,7 +550,7 @@ class TestTimes:
             ({"sample_duration": -1.0}, "Invalid sample_duration -1.0 s: it must be a finite number above zero."),
             (
                 {"time_format": "ISO"},
-                "Unknown time_format 'ISO': it must be one of unix, labview, matlab, or a pattern",
+                "Unknown time_format 'ISO': it must be one of unix, unix-ms, unix-us, unix-ns, labview, matlab, or",
             ),
             ({"angle_tolerance_deg": 0.0}, "Invalid angle_tolerance_deg 0.0 degrees"),
             ({"range_tolerance": "far"}, "Invalid range_tolerance 'far' m"),

@@ -29,7 +29,7 @@ from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.file import load_noise
 from bayes_rs.noise.store import find_shipped_noise
 from bayes_rs.readers import netcdf_guard
-from bayes_rs.readers.netcdf_file import load_netcdf, open_groups, open_netcdf
+from bayes_rs.readers.netcdf_file import glance, load_netcdf, open_netcdf
 from bayes_rs.readers.reading import read
 from bayes_rs.records.record_files import open_records
 from bayes_rs.result_folder import seal_folder
@@ -238,14 +238,15 @@ class TestDamagedFiles:
         assert NO_END in bad[str(folder / "hangs.nc")]
         assert found.n_record == N_RECORD
 
-    def test_a_reference_that_leads_nowhere(self, guard, tmp_path):
+    @pytest.mark.parametrize("look", [load_netcdf, glance])
+    def test_a_reference_that_leads_nowhere(self, guard, tmp_path, look):
         """The library can take gigabytes before it says so: the next file has a new process."""
         good, file = write(tmp_path / "good.nc"), write(tmp_path / "a.nc")
         load_netcdf(good)
         first = guard.process.pid
         file.write_bytes(file.read_bytes().replace(b"GCOL", b"GCOK"))
         with pytest.raises(InputError, match=r"a\.nc' cannot be read as NetCDF: .*; check that it is complete"):
-            load_netcdf(file)
+            look(file)
         load_netcdf(write(tmp_path / "another.nc"))
         assert guard.process.pid != first
 
@@ -345,14 +346,18 @@ class TestOneDoor:
     @pytest.mark.usefixtures("guard")
     def test_groups(self, tmp_path):
         with h5py.File(tmp_path / "a.nc", "w") as opened:
-            opened["one/two/x"] = np.arange(3.0)
-            opened["y"] = 1.0
-        with open_groups(tmp_path / "a.nc") as found:
-            assert list(found) == ["/", "/one", "/one/two"]
-            np.testing.assert_array_equal(found["/one/two"]["x"], np.arange(3.0))
+            opened["one/two/range"] = np.arange(3.0)
+            opened["one/two/azimuth"] = np.arange(3.0)
+            opened["one/two/other"] = np.arange(3.0)
+            opened["time"] = 1.0
+        found = glance(tmp_path / "a.nc")
+        assert list(found) == ["/", "/one", "/one/two"]
+        assert sorted(found["/one/two"].names) == ["azimuth", "other", "range"]
+        assert sorted(found["/one/two"].variables) == ["azimuth", "range"]
+        assert not found["/"].variables  # no rays in it
+        np.testing.assert_array_equal(found["/one/two"].variables["range"], np.arange(3.0))
         SHORT.assign_coords(beam=SHORT["beam"].astype(np.int32)).to_netcdf(tmp_path / "b.nc", engine="scipy")
-        with open_groups(tmp_path / "b.nc") as found:
-            np.testing.assert_array_equal(found["/"]["radial_velocity"], SHORT["radial_velocity"])
+        assert "radial_velocity" in glance(tmp_path / "b.nc")["/"].attributes
 
     @pytest.mark.usefixtures("guard")
     @pytest.mark.parametrize(
@@ -517,7 +522,7 @@ ASK = (
     "import sys\n"
     "from pathlib import Path\n"
     "from bayes_rs.readers import netcdf_guard\n"
-    "from bayes_rs.readers.netcdf_file import load_netcdf, open_groups, open_netcdf\n"
+    "from bayes_rs.readers.netcdf_file import glance, load_netcdf, open_netcdf\n"
     "assert netcdf_guard._guard.process is None\n"
     "load_netcdf(Path(sys.argv[1]))\n"
     "print(netcdf_guard._guard.process.pid, flush=True)\n"

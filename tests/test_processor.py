@@ -22,6 +22,7 @@ from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
 from bayes_rs.noise import at_states
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.processor import note_processor, one_thread, processor_kind
+from bayes_rs.turbulence import two_point
 
 ROOT = Path(__file__).parents[1]
 MIXED = "Numbers of this fit come from processors of different kinds"
@@ -152,6 +153,15 @@ class TestThreads:
         with threadpool_limits(2):
             brs.fit(make_records(2), SCAN, **OPTIONS)
         assert seen == [{1}]
+
+    def test_what_is_kept_does_not_depend_on_who_asked_first(self):
+        # tables are kept for all later calls: made with two threads by one, they changed the last bits of another
+        tables = []
+        for n_thread in (1, 2):
+            two_point._build_table.cache_clear()
+            with threadpool_limits(n_thread):
+                tables.append(two_point.covariance_table(3.2, np.array([[300.0, 2.0, 2.0]]), tolerance=1e-4).values)
+        np.testing.assert_array_equal(*tables)
 
     def test_it_gives_back_what_was_set(self):
         with threadpool_limits(2):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from format_files import (
@@ -27,18 +28,23 @@ from format_files import (
     write_spinnerlidar,
     write_zx,
 )
-from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_files import arm, cfradial, e_windlidar, rays_of, six_beam, windcube_sweep, write_cfradial2, write_windcube
+from ray_text_files import at_heights, gate_frame, ray_frame, write_molas, write_rtd, write_scn, write_windscanner
+from test_sonic_series import wind_of, write_toa5
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import netcdf_guard, read, read_statistics
+from bayes_rs.readers import netcdf_guard, read, read_sonic, read_statistics
 from bayes_rs.readers.netcdf_file import load_netcdf
+from bayes_rs.readers.netcdf_names import AWAY
 
 SIX = six_beam(45.0, step=1.0)
 ZX = load_scan("zx-tm")
 SPINNER = load_scan("spinnerlidar")
 SHORT = series_of(SIX, n_scan=8)
 RAYS = rays_of(SHORT, SIX)
+TWO = six_beam(100.0, 150.0, step=1.0)
+PLANES = rays_of(series_of(TWO, n_scan=8), TWO, rough=False)
 CPU_SECONDS_PER_FILE = 60.0
 """What a file may take of the processor, and not of the clock: reading one takes a tenth of a second."""
 FOR_EVER = 3600.0
@@ -115,6 +121,11 @@ def table(file: Path, frame=long_frame, **options) -> Path:
     return file
 
 
+def framed(file: Path, frame: pd.DataFrame) -> Path:
+    frame.rename(columns={"velocity": "radial velocity [m/s]"}).to_csv(file, index=False)
+    return file
+
+
 def packed(file: Path, suffix: str) -> Path:
     plain = table(file)
     result = compress(plain, suffix)
@@ -124,6 +135,20 @@ def packed(file: Path, suffix: str) -> Path:
 
 def netcdf(file: Path, dataset: xr.Dataset, **options) -> Path:
     dataset.to_netcdf(file, **options)
+    return file
+
+
+def of_ranges(file: Path) -> Path:
+    frame = long_frame(SHORT)
+    pd.concat([frame.assign(Distance=distance) for distance in (100.0, 46.0, 150.0)]).to_csv(file, index=False)
+    return file
+
+
+def crooked(file: Path, encoding: str) -> Path:
+    lines = long_frame(SHORT).to_csv(index=False).splitlines()
+    lines[5:5] = ["Höhe,-,m/s,dB", lines[0], "# a note" if encoding == "utf-8" else "a note"]
+    above = ["Gerät 7"] if encoding == "cp1252" else []
+    file.write_bytes("\n".join([*above, *lines, "end"]).encode(encoding))
     return file
 
 
@@ -153,8 +178,29 @@ TEXT: dict[str, tuple[Callable[[Path], Path], dict]] = {
         lambda folder: write_mini_raw(folder / "a.csv", series_of(ZX, n_scan=2), ZX),
         {"scan": ZX, "phase_zero_deg": 0.0, "phase_turns": "up"},
     ),
+    "windscanner": (lambda folder: write_windscanner(folder / "a.txt", PLANES), {"scan": TWO}),
+    "galion": (lambda folder: write_scn(folder / "a.scn", PLANES), {"scan": TWO, "gate_length": 45.0}),
+    "rtd": (lambda folder: write_rtd(folder / "a.rtd", at_heights(PLANES)), {"scan": TWO}),
+    "rtd of version 1": (
+        lambda folder: write_rtd(folder / "a.rtd", at_heights(PLANES), version=1),
+        {"scan": TWO},
+    ),
+    "molas": (lambda folder: write_molas(folder / "a.csv", PLANES), {"scan": TWO}),
+    "table of rays": (lambda folder: framed(folder / "a.csv", ray_frame(PLANES)), {"scan": TWO, "positive": "away"}),
+    "columns for gates": (
+        lambda folder: framed(folder / "a.csv", gate_frame(PLANES, velocity="rws_{}", distance="range_{}")),
+        {"scan": TWO, "positive": "away"},
+    ),
     "gzip": (lambda folder: packed(folder / "a.csv", ".gz"), {}),
     "zip": (lambda folder: packed(folder / "a.csv", ".zip"), {}),
+    "ranges": (lambda folder: of_ranges(folder / "a.csv"), {"columns": {"range": "Distance"}}),
+    "bad rows left out": (lambda folder: crooked(folder / "a.csv", "utf-8"), {"bad_rows": "drop", "comment": "#"}),
+    "utf-16": (lambda folder: crooked(folder / "a.csv", "utf-16"), {"bad_rows": "drop"}),
+    "cp1252": (
+        lambda folder: crooked(folder / "a.csv", "cp1252"),
+        {"bad_rows": "drop", "encoding": "cp1252", "skip_rows": 1},
+    ),
+    "sonic": (lambda folder: write_toa5(folder / "a.dat", wind_of(60)), {"sonic": True}),
     "statistics": (lambda folder: statistics_file(folder / "Wind10.csv"), {"statistics": True}),
 }
 COMPILED: dict[str, Callable[[Path], Path]] = {
@@ -162,6 +208,9 @@ COMPILED: dict[str, Callable[[Path], Path]] = {
     "classic": lambda folder: netcdf(folder / "a.nc", SHORT, format="NETCDF3_64BIT", engine="scipy"),
     "windcube": lambda folder: write_windcube(folder / "a.nc", windcube_sweep(RAYS, accumulation=1.0)),
     "e-windlidar": lambda folder: netcdf(folder / "a.nc", e_windlidar(RAYS), engine="h5netcdf"),
+    "cfradial": lambda folder: netcdf(folder / "a.nc", cfradial(RAYS), engine="h5netcdf"),
+    "cfradial 2": lambda folder: write_cfradial2(folder / "a.nc", cfradial(RAYS, velocity="v", standard_name=AWAY)),
+    "arm": lambda folder: netcdf(folder / "a.cdf", arm(RAYS), format="NETCDF3_CLASSIC", engine="scipy"),
     "old": lambda folder: old_hdf5(folder / "a.nc"),
     "zst": lambda folder: packed(folder / "a.csv", ".zst"),
 }
@@ -176,11 +225,16 @@ COMPILED["parquet"] = parquet
 COMPILED["heap"] = COMPILED["netcdf"]
 
 
-def check(file: Path, *, scan=SIX, statistics: bool = False, **options) -> bool:
+def check(file: Path, *, scan=SIX, statistics: bool = False, sonic: bool = False, **options) -> bool:
     """Read a damaged file; whether it gave a series. Any other error than ours goes up."""
     try:
         if statistics:
             return bool(read_statistics(file).sizes["time"] >= 0)
+        if sonic:
+            wind = read_sonic(file)
+            assert (np.diff(wind["time"].values) > np.timedelta64(0, "ns")).all()
+            assert not np.isinf(wind["u"].values).any()
+            return wind.sizes["time"] >= 0
         series = read(file, scan, **options)
     except InputError as error:
         message = str(error)

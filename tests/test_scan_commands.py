@@ -93,7 +93,7 @@ class TestScans:
 class TestFindScan:
     def test_writes_the_scan_and_says_what_comes_next(self, file, tmp_path):
         out = tmp_path / "six.toml"
-        done = run("find-scan", file, "--height", 100, "--gate-length", 40, "--positive", "away", "-o", out)
+        done = run("find-scan", file, "--height", 100, "--probe-gate-length", 40, "--positive", "away", "-o", out)
         assert (done.exit_code, done.stderr) == (0, ""), done.output
         found = brs.load_scan(out)
         assert (found.name, found.n_beam, found.probe.parameters()["gate_length"]) == ("six", 6, 40.0)
@@ -141,9 +141,9 @@ class TestFindScan:
         for number, path in enumerate(sorted(hour.iterdir())):
             names[path.name] = tmp_path / f"{number:03}.nc"
             names[path.name].write_bytes(path.read_bytes())
-        done = run("find-scan", tmp_path, "--distance", 150, "-o", tmp_path / "dbs.toml")
+        done = run("find-scan", tmp_path, "--range", 150, "-o", tmp_path / "dbs.toml")
         assert done.exit_code == 0, done.output
-        assert done.stdout.endswith(f"next: bayes-rs fit {tmp_path} --scan auto --distance 150 -o OUT/\n")
+        assert done.stdout.endswith(f"next: bayes-rs fit {tmp_path} --scan auto --range 150 -o OUT/\n")
 
     def test_a_lidar_that_shares_its_time(self, tmp_path):
         """Ten cycles of 20 s in every ten minutes: a beam has 10 of 30 samples."""
@@ -174,10 +174,10 @@ class TestFindScan:
                 r"The gates that are there: in direction \(.*, 75\.0\).* heights 51\.7, 100, 148\.3 m",
             ),
             (["--height", "9e3", "-o", "six.toml"], "No gate at height 9000 m"),
-            (["--height", "1", "--distance", "1", "-o", "six.toml"], "Give height or distance"),
+            (["--height", "1", "--range", "1", "-o", "six.toml"], "Give height or distance"),
             (["--height", "100", "-o", "six.txt"], "must end in .toml"),
             (["--height", "100", "--probe", "6-beam", "-o", "six.toml"], "that scan has no probe volume"),
-            (["--height", "100", "--probe", "zx-tm", "--gate-length", "3", "-o", "six.toml"], "say the same"),
+            (["--height", "100", "--probe", "zx-tm", "--probe-gate-length", "3", "-o", "six.toml"], "say the same"),
         ],
     )
     def test_what_is_refused(self, file, tmp_path, monkeypatch, words, match):
@@ -207,11 +207,22 @@ class TestAuto:
         told = json.loads(run_file.read_text())
         assert told["scan"] == "six_noon"
         assert "beams.beam" in told["scan_toml"]
-        assert told["settings"]["scan"]["height"] == []
+        assert told["settings"]["files"]["height"] is None
         again = run("fit", run_file, "-o", tmp_path / "two")
         assert again.exit_code == 0, again.output
         one, two = (brs.open_fit(tmp_path / name) for name in ("one", "two"))
         np.testing.assert_array_equal(one.summary()["mean"], two.summary()["mean"])
+
+    def test_several_heights_are_those_at_which_it_is_read(self, file):
+        given = Settings().changed(files=[str(file)], scan="auto", height=(100.0, 150.0))
+        found = with_found_scan(given, print)
+        assert found.scan.load().n_beam == 6
+        assert found.files.height == (100.0, 150.0)
+        every = with_found_scan(given.changed(height=None, range="all"), print)
+        assert every.scan.load().n_beam == 6
+        assert every.files.range == "all"
+        records = brs.make_records(brs.read(file, every.scan.load(), range="all"), every.scan.load())
+        np.testing.assert_allclose(records["height"], [51.7, 100.0, 148.3], atol=0.1)
 
     def test_files_of_other_scans_are_not_read(self, hour, tmp_path):
         done = run("records", hour, "--scan", "auto", "--height", 150, "-o", tmp_path / "records.nc")
@@ -241,7 +252,8 @@ class TestAuto:
     @pytest.mark.parametrize(
         ("options", "match"),
         [
-            ({"height": ()}, r"Give height or distance \(m\).* heights 51\.7, 100, 148\.3 m"),
+            ({"height": None}, r"Give height or distance \(m; --height, --range\).* heights 51\.7, 100, 148\.3 m"),
+            ({"range": 80.0}, "one of the two"),
             ({"opening_angle_deg": 20.0}, "Invalid opening_angle_deg with scan auto"),
             ({"focus_distance": [80.0]}, "Invalid focus_distance with scan auto"),
             ({"files": ()}, "found in files, and none is given"),
@@ -255,10 +267,7 @@ class TestAuto:
     @pytest.mark.parametrize(
         ("options", "match"),
         [
-            ({"height": 100.0}, "Invalid height with scan '6-beam'.*give focus_distance"),
             ({"scan_group": 2}, "Invalid scan_group with scan '6-beam'"),
-            ({"scan": "auto", "height": 1.0, "distance": 2.0}, "one of the two"),
-            ({"scan": "auto", "height": -1.0}, "Invalid height -1"),
             ({"scan": "auto", "scan_group": 0}, "Invalid scan_group 0"),
         ],
     )

@@ -202,8 +202,18 @@ class TestBadFiles:
             ),
             (lambda s: s.expand_dims(pass_number=2), "at most one more, the gates"),
             (lambda s: s.assign(elevation=s["elevation"] - 9999.0), r"Invalid elevation -99\d\d.* in ray 1 of file"),
-            (lambda s: s.assign(range=s["range"].assign_attrs(units="km")), "'range' .* has the units 'km'"),
-            (lambda s: s.assign(azimuth=s["azimuth"].assign_attrs(units="rad")), "'azimuth' .* has the units 'rad'"),
+            (
+                lambda s: s.assign(range=s["range"].assign_attrs(units="1")),
+                "'range' .* has the units '1': a distance must",
+            ),
+            (
+                lambda s: s.assign(azimuth=s["azimuth"].assign_attrs(units="m")),
+                "'azimuth' .* has the units 'm': an angle must be in degrees or radians; correct the attribute",
+            ),
+            (
+                lambda s: s.assign(radial_wind_speed=s["radial_wind_speed"].assign_attrs(units="deg")),
+                "'radial_wind_speed' .* has the units 'deg': a velocity must be in m/s, km/h, knot, cm/s or mm/s",
+            ),
             (lambda s: s.assign(elevation=s["elevation"] - 36.0), "No ray of file .* looks within 1 degrees of a beam"),
             (lambda s: s.assign(range=s["range"] * np.nan), "No gate of file"),
             (lambda s: s.assign(range=-s["range"]), "No gate of file"),

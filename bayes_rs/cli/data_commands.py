@@ -30,7 +30,7 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
 
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
-@settings_options("scan", "files", "records", "quality")
+@settings_options("scan", "files", "records", "quality", "output", only={"output": ("workers",)})
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:
@@ -41,7 +41,8 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: An
     with output_file(output, overwrite=overwrite) as part:
         made, _ = records_and_scan(settings)
         write_netcdf(made, part)
-    click.echo(f"{made.sizes['record']} records in {output}")
+    ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
+    click.echo(f"{made.sizes['record']} records{ranges} in {output}")
     exit_if_doubtful(made)
 
 

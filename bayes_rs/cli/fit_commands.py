@@ -16,10 +16,13 @@ from bayes_rs.cli.options import (
     settings_of,
     settings_options,
 )
+from bayes_rs.cli.range_options import fit_at_range, range_options
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
 from bayes_rs.fits.settings import AUTO
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from bayes_rs.fits.fit_object import Fit
 
 
@@ -64,11 +67,31 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
 
 
 def draw_pictures(found: Fit, folder: Path) -> None:
-    """Draw the stresses over time and the posterior of the first fitted record into the folder of a fit."""
+    """Draw the stresses over time and the posterior of the first fitted record into the folder of a fit.
+
+    Of a fit at several ranges, these into the folder of each, and the profile above them.
+    """
+    from bayes_rs.fits.ranged_fit import RangedFit
     from bayes_rs.output import output_file
+    from bayes_rs.plot.profile_plot import profile
+    from bayes_rs.result_folder import list_beside
+
+    if isinstance(found, RangedFit):
+        for own in found.fits.values():
+            draw_pictures(own, Path(own.place))
+        figures = {"profile.png": profile(found)}
+    else:
+        figures = _figures(found)
+    for name, figure in figures.items():
+        with output_file(folder / name, overwrite=True) as part:
+            figure.savefig(part, dpi=130)
+        list_beside(folder / name)
+
+
+def _figures(found: Fit) -> dict[str, Figure]:
+    """Return the pictures of a fit of one range, by the names of their files."""
     from bayes_rs.plot.corner_plot import corner as draw_corner
     from bayes_rs.plot.stresses_plot import stresses
-    from bayes_rs.result_folder import list_beside
 
     figures = {"stresses.png": stresses(found)}
     if found.has_draws and found.n_fitted:
@@ -77,10 +100,7 @@ def draw_pictures(found: Fit, folder: Path) -> None:
         from bayes_rs.plot.campaign_plot import campaign
 
         figures["campaign.png"] = campaign(found)
-    for name, figure in figures.items():
-        with output_file(folder / name, overwrite=True) as part:
-            figure.savefig(part, dpi=130)
-        list_beside(folder / name)
+    return figures
 
 
 def _tell(found: Fit, output: str) -> None:
@@ -174,18 +194,20 @@ def sensitivity(
 @click.option(
     "--record", default="0", show_default=True, help="Number of the record, or its start as 2020-09-04T12:00 (UTC)."
 )
+@range_options
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Picture to write; by default corner-RECORD.png in FOLDER."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
-def corner(folder: Path, record: str, output: Path | None, overwrite: bool) -> None:
+def corner(
+    folder: Path, record: str, distance: float | None, height: float | None, output: Path | None, overwrite: bool
+) -> None:
     """Draw the posterior of one record of a fit, with the outline of the prior."""
-    from bayes_rs.fits.fit_folder import open_fit
     from bayes_rs.output import output_file
     from bayes_rs.plot.corner_plot import corner as draw_corner
     from bayes_rs.result_folder import list_beside
 
-    found = open_fit(folder)
+    found = fit_at_range(folder, distance, height)
     figure = draw_corner(found, record)
     picture = output if output is not None else Path(found.place) / f"corner-{record.replace(':', '')}.png"
     with output_file(picture, overwrite=overwrite) as part:

@@ -22,6 +22,9 @@ def reading_words(options: Mapping[str, Any]) -> list[str]:
         value = options.get(entry.name)
         if value is None or value in ((), {}) or not entry.flag:
             continue
+        if entry.name in ("range", "height"):
+            words += [entry.flag, value if isinstance(value, str) else ",".join(f"{one:g}" for one in value)]
+            continue
         several = value.items() if isinstance(value, Mapping) else value
         for one in several if isinstance(value, (Mapping, list, tuple)) else [value]:
             words += [entry.flag, "=".join(map(str, one)) if isinstance(one, tuple) else f"{one}"]

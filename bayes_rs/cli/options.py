@@ -13,6 +13,7 @@ from click.shell_completion import CompletionItem
 
 from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
 from bayes_rs.errors import InputError, did_you_mean, in_short
+from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
 
@@ -180,6 +181,26 @@ class Range(click.ParamType):  # type: ignore[type-arg] # as above
         return start, end
 
 
+class Distances(click.ParamType):  # type: ignore[type-arg] # as above
+    """Numbers of metres with commas between them, or a word."""
+
+    name = "distances"
+
+    def __init__(self, words: Sequence[str]) -> None:
+        """Take the words that may stand for the numbers."""
+        self.words = tuple(words)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...] | str:
+        """Return the numbers, or the word."""
+        if value in self.words:
+            return str(value)
+        try:
+            return tuple(float(part) for part in value.split(","))
+        except ValueError:
+            word = f", or the word {' or '.join(self.words)}" if self.words else ""
+            self.fail(f"{value!r} must be numbers of metres with commas between them, as 80,120{word}.", param, ctx)
+
+
 def settings_options(
     *sections: str, only: Mapping[str, Sequence[str]] | None = None, without: Sequence[str] = ()
 ) -> Callable[[_Command], _Command]:
@@ -322,7 +343,8 @@ def field_option(entry: Option, group: str) -> FieldOption:
     container = next((kind for kind in kinds if get_origin(kind) in (tuple, Mapping, Sequence)), None)
     origin = get_origin(container)
     pair = origin is tuple and ... not in get_args(container)
-    several = container is not None and not pair
+    distances = entry.about.metavar.startswith("M,M,...")
+    several = container is not None and not pair and not distances
     attributes: dict[str, Any] = {"default": None, "help": _help(entry, several=several), "group": group}
     if entry.about.metavar:
         attributes["metavar"] = entry.about.metavar
@@ -342,6 +364,8 @@ def field_option(entry: Option, group: str) -> FieldOption:
     if not entry.about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
         attributes.setdefault("metavar", "NAME")
     kind = _type(entry, list(get_args(container)) if several else kinds)
+    if distances:
+        kind = Distances([ALL_RANGES] if str in kinds else [])
     return FieldOption(*names, multiple=several, type=kind, **attributes)
 
 

@@ -58,7 +58,7 @@ def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
     """Read radial velocities."""
     from bayes_rs.readers.reading import read
 
-    return read(list(settings.files.files), scan, **settings.files.of_reading())
+    return read(list(settings.files.files), scan, workers=settings.output.workers, **settings.files.of_reading())
 
 
 def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from bayes_rs.cli.options import Quantity
+from bayes_rs.cli.range_options import fit_at_range, range_options
 
 
 @click.command()
@@ -21,8 +22,21 @@ from bayes_rs.cli.options import Quantity
     help="Probability of the credible intervals; by default that of the fit. Needs the draws.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing report.")
-def report(folder: Path, output: Path | None, title: str | None, prob: float | None, overwrite: bool) -> None:
-    """Write one HTML page that shows what a fit found; it needs no network."""
+@range_options
+def report(
+    folder: Path,
+    output: Path | None,
+    title: str | None,
+    prob: float | None,
+    overwrite: bool,
+    distance: float | None,
+    height: float | None,
+) -> None:
+    """Write one HTML page that shows what a fit found; it needs no network.
+
+    Of a fit at several ranges, a page of the profile, and one for each range.
+    """
     from bayes_rs.report.writing import write_report
 
-    click.echo(str(write_report(folder, output, title=title, prob=prob, overwrite=overwrite)))
+    found = fit_at_range(folder, distance, height)
+    click.echo(str(write_report(found, output, title=title, prob=prob, overwrite=overwrite)))

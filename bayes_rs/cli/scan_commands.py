@@ -71,7 +71,7 @@ def _list_scans() -> None:
 
 @click.command(name="find-scan", cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...", type=click.Path())
-@settings_options("scan", "files", only={"scan": ("height", "distance", "scan_group")})
+@settings_options("scan", "files", only={"scan": ("scan_group",)})
 @click.option(
     "--tolerance",
     "tolerance_deg",
@@ -89,7 +89,7 @@ def _list_scans() -> None:
 )
 @click.option("--probe", metavar="NAME", help="Scan whose probe volume the beams have; by default they are points.")
 @click.option(
-    "--gate-length",
+    "--probe-gate-length",
     type=Quantity("gate_length", "m"),
     help="Length of the gates of a pulsed lidar, m: the probe volume of its beams.",
 )
@@ -100,7 +100,7 @@ def find_scan(
     tolerance_deg: float,
     min_share: float,
     probe: str | None,
-    gate_length: float | None,
+    probe_gate_length: float | None,
     output: Path,
     overwrite: bool,
     **options: Any,
@@ -112,30 +112,33 @@ def find_scan(
     """
     from bayes_rs.cli.options import settings_of
     from bayes_rs.errors import InputError
+    from bayes_rs.file_options import ALL_RANGES
+    from bayes_rs.fits.found_scan import distances, survey_options
     from bayes_rs.geometry.probe import make_probe
     from bayes_rs.geometry.scan_file import as_probe
     from bayes_rs.geometry.scan_writing import save_scan
     from bayes_rs.output import output_file
     from bayes_rs.readers.survey import survey
 
-    if probe is not None and gate_length is not None:
-        raise click.UsageError("--probe and --gate-length say the same: give one of the two.")
+    if probe is not None and probe_gate_length is not None:
+        raise click.UsageError("--probe and --probe-gate-length say the same: give one of the two.")
     if output.suffix != ".toml":
         raise InputError(f"Invalid scan file {str(output)!r}: its name must end in .toml; add the ending.")
     settings = settings_of((), options)
     with output_file(output, overwrite=overwrite) as part:
         own = None if probe is None else as_probe(probe)
-        own = own if gate_length is None else make_probe("pulsed", gate_length=gate_length)
+        own = own if probe_gate_length is None else make_probe("pulsed", gate_length=probe_gate_length)
         found = survey(
             list(files),
-            height=list(settings.scan.height) or None,
-            distance=list(settings.scan.distance) or None,
+            height=distances(settings.files.height) or None,
+            distance=distances(settings.files.range) or None,
+            any_gate=settings.files.range == ALL_RANGES,
             group=settings.scan.scan_group,
             tolerance_deg=tolerance_deg,
             min_share=min_share,
             name=output.stem,
             probe=own,
-            **settings.files.of_reading(),
+            **survey_options(settings.files),
         )
         save_scan(found.scan, part.with_suffix(".toml")).replace(part)
     _tell(found, files, output, options)
@@ -172,11 +175,12 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
             click.echo(f"file {path.name}: {reason}", err=True)
     others = [path for index, one in enumerate(found.found.groups) if index != found.chosen for path in one.files]
     named = files_words(files, found.files, [*others, *found.found.skipped])
-    reading = reading_words({name: value for name, value in options.items() if name != "on_bad_file"})
+    where = {name: value for name, value in options.items() if name in ("range", "height")}
+    reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
     if named is None:
-        wanted = [[f"--{name}", f"{value:g}"] for name in ("height", "distance") for value in options[name]]
+        wanted = reading_words(where)
         group = ["--scan-group", str(found.chosen + 1)] if options["scan_group"] else []
-        which = [*files, "--scan", "auto", *(word for words in wanted for word in words), *group]
+        which = [*files, "--scan", "auto", *wanted, *group]
     else:
         which = [*named, "--scan", str(output)]
     if shared and usual >= LEAST_TAKEN:
@@ -212,5 +216,6 @@ def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options
         click.echo(line)
     if output is not None:
         click.echo(f"picture in {output}")
-    reading = reading_words({name: value for name, value in options.items() if name != "on_bad_file"})
+    where = {name: value for name, value in options.items() if name in ("range", "height")}
+    reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
     click.echo(f"next: {command_line('bayes-rs', *found.words[:-2], *reading, *found.words[-2:])}")

@@ -14,6 +14,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
+from bayes_rs.processor import one_thread
 from bayes_rs.records.block_statistics import BLOCKS, blocks_of, chosen_beams, n_part
 from bayes_rs.theory.block_theory import BlockTheory, block_theory
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -115,6 +116,7 @@ class _Hashed:
 
 
 @lru_cache(maxsize=1024)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _theory(scan: _Hashed, turbulence: MannTurbulence, wind_speed: float, yaw: float, duration: float) -> BlockTheory:
     return block_theory(
         scan.scan,

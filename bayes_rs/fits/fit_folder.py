@@ -24,9 +24,11 @@ from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.folder_tables import DATASETS, FolderTables
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.plan import LAYOUT, N_PRIOR_DRAW, Plan
-from bayes_rs.fits.run_file import RunOfFit, checked_run
+from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
+from bayes_rs.fits.run_file import RunOfFit, checked_run, checked_run_of_ranges
 from bayes_rs.fits.tables import ADVICE, names_of_part, read_table, write_table
 from bayes_rs.fits.workers import done_parts
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan_text
 from bayes_rs.geometry.stress import STRESSES
@@ -156,7 +158,8 @@ def open_fit(folder: str | Path) -> Fit:
     Returns
     -------
     fit : Fit
-        As `fit` returned it. Every file is compared with its fingerprint when it is read.
+        As `fit` returned it; of a fit at several ranges a `RangedFit`. Every file is compared with its fingerprint when
+        it is read.
 
     Raises
     ------
@@ -177,10 +180,38 @@ def open_fit(folder: str | Path) -> Fit:
     if not opened.finished:
         raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
     run = opened.run()
+    if "ranges" in run:
+        return ranged_fit_in(run, str(folder))
     if "settings" not in run or "n_record" not in run:
         raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
     checked = checked_run(run, str(opened.path / RUN_FILE))
     return _fit_in(opened, run, checked, load_scan_text(checked.scan_toml, name=checked.scan), str(folder))
+
+
+def ranged_fit_in(run: Mapping[str, Any], place: str) -> RangedFit:
+    """Return the fit at several ranges of which `run.json` says this; that of a range is opened when it is asked for.
+
+    Parameters
+    ----------
+    run : mapping
+        The content.
+    place : str
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If the content is not as it should be.
+    """
+    file = str(Path(place) / RUN_FILE)
+    checked = checked_run_of_ranges(run, file)
+    base = load_scan_text(checked.scan_toml, name=checked.scan)
+    try:
+        scan = RangedScan.of(base, [one.distance for one in checked.ranges])
+    except (InputError, ValueError) as error:
+        raise InputError(f"File {file!r} cannot be used: its ranges are not such of its scan: {error}") from error
+    opened = [None if one.folder is None else partial(open_fit, Path(place) / one.folder) for one in checked.ranges]
+    return RangedFit(run, scan, TablesOfRanges(tuple(scan.range.tolist())), None, place, tuple(opened))
 
 
 def _folder_of(place: Path) -> Path:

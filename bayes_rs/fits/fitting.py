@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,18 @@ import xarray as xr
 from bayes_rs._validation import FloatArray
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits.campaign_stage import Campaign, Crew, campaign_in_memory
+from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
-from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
+from bayes_rs.fits.fit_options import NoiseOptions, split_options
+from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.parts import fit_part
-from bayes_rs.fits.plan import Plan, plan_fit
+from bayes_rs.fits.plan import Plan, plan_fit, with_settings
+from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers, done_parts
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.given import given_noise
@@ -32,6 +35,7 @@ from bayes_rs.processor import note_processor, one_thread, processor_kind
 from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
 from bayes_rs.records.given import check_are_records
+from bayes_rs.records.ranges import scan_of_records
 
 
 def fit(
@@ -54,9 +58,10 @@ def fit(
     Parameters
     ----------
     records : Dataset, dims (record, beam)
-        From `make_records`: ``variance`` (m² s⁻²), ``flag``, and per record ``wind_speed`` (m/s) and ``yaw`` (degree).
-        Where `with_motion` gave them a tilt and roll of their own, the beams point as these say. Where nuisances
-        ask for it, also ``yaw_sd`` (degree), as from `mean_wind`; by default it is made.
+        From `make_records`, or (range, record, beam) at several ranges, each of which is fitted by itself:
+        ``variance`` (m² s⁻²), ``flag``, and per record ``wind_speed`` (m/s) and ``yaw`` (degree). Where `with_motion`
+        gave them a tilt and roll of their own, the beams point as these say. Where nuisances ask for it, also
+        ``yaw_sd`` (degree), as from `mean_wind`; by default it is made.
     scan : Scan, str or Path
         The scan that measured them, or its name or file.
     seed : int
@@ -87,6 +92,7 @@ def fit(
     -------
     fit : Fit
         The same object for any size, in memory or in a folder. Records that could not be fitted stay in it, flagged.
+        Of records at several ranges a `RangedFit`, which holds one for each.
 
     Raises
     ------
@@ -130,10 +136,22 @@ def fit(
     (18, 3)
     """
     own, choice = split_options({"seed": seed, **options})
-    check_are_records(records)
-    records, used = believed(records), as_scan(scan)
+    check_are_records(records, ranges=True)
+    used = scan_of_records(records, as_scan(scan))
     check_workers(workers, client)
     given = given_noise(noise)
+    if isinstance(used, RangedScan):
+        check_no_noise(given, used)
+        job = RangeJob(records, used, own, choice, {"noise": noise_section(choice, None)})
+        if output is None:
+            return fit_ranges(job, lambda plan: _in_memory(plan, workers, client, progress), say)
+        parts = job.key_parts
+        with begin_result_folder(
+            output, key=digest(parts), key_parts=parts, resume=resume, overwrite=overwrite
+        ) as folder:
+            fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, say=say)
+        return open_fit(output)
+    records = believed(records)
     own = with_median_length_scale(own, choice, records, given)
     inputs = fit_inputs(records, given, choice)
     with one_thread():
@@ -147,25 +165,6 @@ def fit(
     ) as folder:
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=given)
     return open_fit(output)
-
-
-def with_median_length_scale(
-    options: FitOptions, choice: NoiseOptions, records: xr.Dataset, noise: Noise | None
-) -> FitOptions:
-    """Return options whose uncertain length scale has a median: that of the turbulence, if no one says another."""
-    uncertain = options.nuisances
-    known = uncertain.length_scale is not None or "length_scale" in records
-    if uncertain.length_scale_sd == 0.0 or known or noise is not None or choice.of_records:
-        return options
-    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - seldom needed
-
-    median = load_turbulence(choice.flow).length_scale
-    return replace(options, nuisances=replace(uncertain, length_scale=median))
-
-
-def with_settings(plan: Plan, **sections: Any) -> Plan:
-    """Return a plan whose run says what else it depended on, section by section."""
-    return replace(plan, run={**plan.run, "settings": {**sections, **plan.run["settings"]}})
 
 
 def noise_section(choice: NoiseOptions, given: Noise | None) -> dict[str, Any]:

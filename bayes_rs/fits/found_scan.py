@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayes_rs.errors import InputError
-from bayes_rs.fits.settings import AUTO, Settings
+from bayes_rs.file_options import ALL_RANGES
+from bayes_rs.fits.settings import AUTO, InputOptions, Settings
 
 if TYPE_CHECKING:
     from bayes_rs.readers.survey import Survey
@@ -22,7 +23,8 @@ def with_found_scan(settings: Settings, say: Callable[[str], None]) -> Settings:
     Parameters
     ----------
     settings : Settings
-        With files, and with the wanted heights or distances of the scan.
+        With files, and with the wanted heights or ranges: with one of them the scan is at it, with several it is read
+        at each (see `FileOptions`).
     say : callable
         Takes lines that tell what was found.
 
@@ -45,7 +47,7 @@ def with_found_scan(settings: Settings, say: Callable[[str], None]) -> Settings:
 
     for name in ("opening_angle_deg", "focus_distance"):
         if getattr(own, name) is not None:
-            raise InputError(f"Invalid {name} with scan auto: beams are found where they are; give height or distance.")
+            raise InputError(f"Invalid {name} with scan auto: beams are found where they are; give height or range.")
     found = _survey(settings)
     mounted = {name: getattr(own, name) for name in ("tilt_deg", "yaw_deg") if getattr(own, name) is not None}
     scan = load_scan_text(scan_text(found.scan), name=found.scan.name, **mounted)
@@ -59,9 +61,22 @@ def with_found_scan(settings: Settings, say: Callable[[str], None]) -> Settings:
         say(f"not of this scan, and not read: {line}")
     for path, reason in found.found.skipped.items():
         say(f"file {path.name}: {reason}")
-    options = replace(own, scan=scan.name, scan_toml=scan_text(scan), height=(), distance=(), scan_group=None)
-    changed = replace(settings, scan=options)
+    options = replace(own, scan=scan.name, scan_toml=scan_text(scan), scan_group=None)
+    reading = settings.files
+    if len(distances(reading.height) or distances(reading.range)) == 1:
+        reading = replace(reading, height=None, range=None)  # the scan is there, and nowhere else
+    changed = replace(settings, scan=options, files=reading)
     return changed.changed(files=[str(path) for path in found.files]) if others else changed
+
+
+def distances(value: object) -> tuple[float, ...]:
+    """Return the numbers that an option of distances has; none if it has a word, or nothing."""
+    return tuple(value) if isinstance(value, (list, tuple)) else ()
+
+
+def survey_options(reading: InputOptions) -> dict[str, Any]:
+    """Return the options of reading that a survey takes, by name: where the beams are looked for is its own."""
+    return {name: value for name, value in reading.of_reading().items() if name not in ("range", "height")}
 
 
 def _survey(settings: Settings) -> Survey:
@@ -72,11 +87,13 @@ def _survey(settings: Settings) -> Survey:
     own, files = settings.scan, list(settings.files.files)
     if not files:
         raise InputError("Scan auto is found in files, and none is given: name files, folders or patterns.")
+    reading = settings.files
     wanted = {
-        "height": list(own.height) or None,
-        "distance": list(own.distance) or None,
+        **survey_options(reading),
+        "height": distances(reading.height)[:1] or None,
+        "distance": distances(reading.range)[:1] or None,
+        "any_gate": reading.range == ALL_RANGES,
         "group": own.scan_group,
-        **settings.files.of_reading(),
     }
     every = find_files(files, SUFFIXES).paths
     if len(every) > MOST_SURVEYED:

@@ -14,12 +14,14 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fitting import noise_section, with_median_length_scale, with_settings
+from bayes_rs.fits.fitting import noise_section
 from bayes_rs.fits.found_scan import with_found_scan
-from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
-from bayes_rs.fits.plan import option_parts, plan_fit, version_parts
+from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
+from bayes_rs.fits.plan import option_parts, plan_fit, version_parts, with_settings
+from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
@@ -27,6 +29,7 @@ from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
+from bayes_rs.records.ranges import each_range, scan_of_records
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
@@ -115,6 +118,16 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
             about |= read
         for line in describe_report(records):
             say(line)
+        at_ranges = scan_of_records(records, scan)
+        if isinstance(at_ranges, RangedScan):
+            check_no_noise(noise, at_ranges)
+            records = each_range(
+                records, at_ranges, lambda part, one: add_motion(part, one, settings.records, settings.files)
+            )
+            sections = _other_sections(settings, None)
+            job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
+            fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)
+            return open_fit(output)
         records = add_motion(records, scan, settings.records, settings.files)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
         inputs = fit_inputs(records, noise, settings.noise)
@@ -137,6 +150,7 @@ def _read(
         folder,
         reading=settings.files,
         quality=settings.quality,
+        workers=settings.output.workers,
         progress=progress,
         say=say,
         **options,

@@ -61,6 +61,20 @@ def fit_inputs(records: xr.Dataset, noise: Noise | None, choice: NoiseOptions) -
     return {"noise": made, "records": [variables, said]}
 
 
+def with_median_length_scale(
+    options: FitOptions, choice: NoiseOptions, records: xr.Dataset, noise: Noise | None
+) -> FitOptions:
+    """Return options whose uncertain length scale has a median: that of the turbulence, if no one says another."""
+    uncertain = options.nuisances
+    known = uncertain.length_scale is not None or "length_scale" in records
+    if uncertain.length_scale_sd == 0.0 or known or noise is not None or choice.of_records:
+        return options
+    from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - seldom needed
+
+    median = load_turbulence(choice.flow).length_scale
+    return replace(options, nuisances=replace(uncertain, length_scale=median))
+
+
 def noise_and_records(
     records: xr.Dataset, scan: Scan, noise: Noise | None, options: FitOptions, choice: NoiseOptions, say: Say
 ) -> tuple[Noise, xr.Dataset]:

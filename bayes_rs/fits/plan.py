@@ -166,6 +166,11 @@ def plan_fit(
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
 
 
+def with_settings(plan: Plan, **sections: Any) -> Plan:
+    """Return a plan whose run says what else it depended on, section by section."""
+    return replace(plan, run={**plan.run, "settings": {**sections, **plan.run["settings"]}})
+
+
 def check_draws(n_record: int, n_beam: int, options: FitOptions, *, in_folder: bool = False) -> None:
     """Refuse so many draws of so many records that no memory holds them, or no one waits for them.
 

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.layouts import Count, Finite, Open, check_plain
+from bayes_rs.layouts import Count, Finite, Open, Positive, check_plain
 from bayes_rs.options import check_plain as check_options
 from bayes_rs.options import from_plain, options_of
 
@@ -96,6 +96,40 @@ class RunOfFit(Open):
     samples_late: Count = 0
     first_late: str = ""
     key_parts: dict[str, str] = Field(default_factory=dict)
+
+
+class OneRange(Open):
+    """A range, and the folder of its fit; none where no record could be fitted."""
+
+    range: Positive
+    height: Positive | None = None
+    distance: Annotated[list[Positive], Field(min_length=1)]
+    folder: Annotated[str, Field(pattern=r"^[a-z]+-[0-9.]+m$")] | None = None
+
+
+class RunOfRanges(Open):
+    """The entries of `run.json` that a fit at several ranges is read by."""
+
+    bayes_rs: str
+    settings: _Settings
+    scan: str
+    scan_toml: str
+    ranges: Annotated[list[OneRange], Field(min_length=1)]
+    bad_files: dict[str, str] = Field(default_factory=dict)
+    samples_late: Count = 0
+    first_late: str = ""
+
+
+def checked_run_of_ranges(run: Mapping[str, Any], file: str) -> RunOfRanges:
+    """Return what `run.json` of a fit at several ranges says, checked.
+
+    Raises
+    ------
+    InputError
+        If an entry is missing, or is of another type.
+    """
+    found: RunOfRanges = check_plain(RunOfRanges, dict(run), what=f"File {file!r}", advice=_ADVICE)
+    return found
 
 
 def checked_run(run: Mapping[str, Any], file: str) -> RunOfFit:

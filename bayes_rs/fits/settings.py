@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_rs._validation import check_count, check_positive
+from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import ON_BAD_FILE, FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, prior_file
@@ -63,10 +63,6 @@ class ScanOptions:
         None, "Another tilt; positive raises the beams that point upwind", unit="degrees", flag="--tilt"
     )
     yaw_deg: float | None = option(None, "Wind direction relative to the lidar axis", unit="degrees", flag="--yaw")
-    height: Sequence[float] = option(
-        (), "With scan auto: height above the lidar whose gates the beams take; several for planes", unit="m"
-    )
-    distance: Sequence[float] = option((), "With scan auto: distance along the beams, instead of a height", unit="m")
     scan_group: int | None = option(
         None, "With scan auto: which scan of the files it is, where they hold several; bayes-rs find-scan lists them"
     )
@@ -76,19 +72,11 @@ class ScanOptions:
 
     def __post_init__(self) -> None:
         """Check the options."""
-        for name in ("height", "distance"):
-            value = getattr(self, name)
-            several = value if isinstance(value, (list, tuple)) else (value,)
-            object.__setattr__(self, name, tuple(check_positive(one, what=name, unit="m") for one in several))
-        if self.height and self.distance:
-            raise InputError("Give height or distance (m), one of the two: they say which gates the beams take.")
         if self.scan_group is not None:
             check_count(self.scan_group, what="scan_group")
-        for name in ("height", "distance", "scan_group"):
-            if getattr(self, name) and self.scan not in (None, AUTO):
+            if self.scan not in (None, AUTO):
                 raise InputError(
-                    f"Invalid {name} with scan {self.scan!r}: it is of scan auto (--scan auto); for another distance "
-                    "of a scan with a name give focus_distance."
+                    f"Invalid scan_group with scan {self.scan!r}: it is of scan auto (--scan auto); leave it out."
                 )
 
     def load(self) -> Scan:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import threading
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -16,7 +14,7 @@ from loky import ProcessPoolExecutor
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError, MissingExtraError, WorkerError
-from bayes_rs.processor import one_thread
+from bayes_rs.processor import end_with, one_thread
 
 _Part = TypeVar("_Part")
 _Done = TypeVar("_Done")
@@ -262,14 +260,7 @@ def _scatter(client: Any, shared: Any, deaths: int) -> Any:
 def _share(shared: Any, parent: int) -> None:
     global _shared  # noqa: PLW0603 - a process of the pool has nothing else to keep it in
     _shared = shared
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    """End this process when the one that started it is gone: killed, it could not say goodbye."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
+    end_with(parent)
 
 
 def _work(work: Callable[[Any, _Part], _Done], part: _Part) -> _Done:

@@ -289,7 +289,10 @@ def load_scan(
         "mounting": _given(tilt_deg=tilt_deg, yaw_deg=yaw_deg),
     }
     spec = _validate(table, path, {part: values for part, values in new.items() if values})
-    scan = _build(path.stem, spec, _file_format(spec.file, path))
+    file_format = _file_format(spec.file, path)
+    if focus_distance is not None:
+        file_format.pop("range", None)  # who gives the distance does not want all that the files have
+    scan = _build(path.stem, spec, file_format)
     return scan if probe is None else replace(scan, probe=as_probe(probe))
 
 

@@ -10,4 +10,5 @@ from .sorting import SortedFiles as SortedFiles
 from .sorting import sort_files as sort_files
 from .streaming import stream as stream
 from .survey import find_scan as find_scan
+from .toa5 import read_sonic as read_sonic
 from .zx import read_statistics as read_statistics

@@ -17,8 +17,10 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import header_of, open_netcdf
-from bayes_rs.readers.ray_variables import decode_times, own_names, rays_from
+from bayes_rs.readers.netcdf_file import glance
+from bayes_rs.readers.netcdf_group import Group
+from bayes_rs.readers.ray_times import decode_times
+from bayes_rs.readers.ray_variables import own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.stated_time import stated_times
@@ -41,7 +43,7 @@ _EPOCH = re.compile(r"(?:since|start at)\s+(\d{4}[-/]\d{2}[-/]\d{2}(?:[T ]\d{2}:
 def recognises_e_windlidar(file: Path) -> bool:
     """Say whether a file is in this layout, by its variables."""
     try:
-        names = set(header_of(file).variables)
+        names = set(glance(file)["/"].names)
     except InputError:
         return False
     return {"azimuth_angle", "elevation_angle", "range"} <= names and bool(
@@ -104,24 +106,24 @@ def e_windlidar_rays(file: Path, file_format: FileFormat) -> Rays:
     table of variables and the readers).
     """
     names = own_names(NAMES, file_format)
-    with open_netcdf(file, decode_times=False) as dataset:
-        if names["radial_velocity"] not in dataset.variables and "radial_velocity" not in file_format.required:
-            names["radial_velocity"] = OLD_VELOCITY if OLD_VELOCITY in dataset.variables else NAMES["radial_velocity"]
-        return rays_from(
-            dataset,
-            file,
-            file_format,
-            kind="e-windlidar",
-            names=names,
-            time=_times(dataset, names["time"], file),
-            accumulation_time=_accumulation_time(dataset),
-        )
+    group = glance(file, names.values())["/"]
+    if names["radial_velocity"] not in group.variables and "radial_velocity" not in file_format.required:
+        names["radial_velocity"] = OLD_VELOCITY if OLD_VELOCITY in group.variables else NAMES["radial_velocity"]
+    return rays_from(
+        group,
+        file,
+        file_format,
+        kind="e-windlidar",
+        names=names,
+        time=_times(group, names["time"], file),
+        accumulation_time=_accumulation_time(group),
+    )
 
 
-def _times(dataset: xr.Dataset, name: str, file: Path) -> NDArray[np.datetime64]:
-    if name not in dataset.variables:
+def _times(group: Group, name: str, file: Path) -> NDArray[np.datetime64]:
+    if name not in group.variables:
         return np.zeros(0, dtype="datetime64[ns]")  # rays_from refuses the file
-    variable = dataset.variables[name]
+    variable = group.variables[name]
     if not np.issubdtype(variable.dtype, np.number):
         return _times_from_text(variable, name, file)
     units = str(variable.attrs.get("units", ""))
@@ -155,13 +157,13 @@ def _as_text(entry: object) -> str:
     return entry.decode("utf-8", errors="replace") if isinstance(entry, bytes) else str(entry)
 
 
-def _accumulation_time(dataset: xr.Dataset) -> FloatArray | None:
+def _accumulation_time(group: Group) -> FloatArray | None:
     """Return how long rays took, s, from the variable or the attribute of that name; None if there is none."""
-    held = dataset.variables.get("accumulation_time")
+    held = group.variables.get("accumulation_time")
     if held is not None and np.issubdtype(held.dtype, np.number):
         return np.asarray(held.values, dtype=np.float64)
     try:
-        return np.asarray(float(dataset.attrs["accumulation_time"]))
+        return np.asarray(float(group.attrs["accumulation_time"]))
     except (KeyError, TypeError, ValueError):
         return None
 

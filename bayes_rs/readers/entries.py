@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import timezone
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.quick_times import quick_iso_times, quick_pattern_times
 from bayes_rs.readers.table import Column
 from bayes_rs.stated_time import stated_times
 
 BoolArray = NDArray[np.bool_]
-_EPOCHS = {"unix": ("1970-01-01", 1.0), "labview": ("1904-01-01", 1.0), "matlab": ("1970-01-01", 86400.0)}
+_EPOCHS = {
+    "unix": ("1970-01-01", 1.0),
+    "unix-ms": ("1970-01-01", 1e-3),
+    "unix-us": ("1970-01-01", 1e-6),
+    "unix-ns": ("1970-01-01", 1e-9),
+    "labview": ("1904-01-01", 1.0),
+    "matlab": ("1970-01-01", 86400.0),
+}
+_LIKELY = (3.15e8, 2.1e9)  # seconds from 1970 to 1980 and to 2036
 _MATLAB_EPOCH = 719529.0  # the datenum of 1970-01-01
 _WITH_OFFSET = r":\d{2}.*(?:Z|z|[+-]\d{2}(?::?\d{2})?)$"
 
@@ -36,20 +48,38 @@ def numbers(column: Column, file_format: FileFormat) -> tuple[FloatArray, BoolAr
             f"Invalid {column.name} in {column.where(0)}: the entries are of type {kind}, and must be real numbers; "
             "give another column."
         )
-    if pd.api.types.is_numeric_dtype(column.values.dtype):
+    if pd.api.types.is_numeric_dtype(kind):
         values = column.values.to_numpy(dtype=np.float64, na_value=np.nan)
     else:
         text = _as_text(column.values, file_format)
-        values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-        bad = np.isnan(values) & (text.notna() & (text != "") & (text.str.lower() != "nan")).to_numpy(dtype=bool)
+        values, bad = text_as_numbers(text)
         if bad.any():
             index = int(np.argmax(bad))
-            raise InputError(
+            column.refuse(
+                bad,
                 f"Invalid {column.name} {_shown(column.values.iloc[index])} in {column.where(index)}: it must be a "
-                "number; correct the entry, or leave it empty if the value is missing."
+                "number; correct the entry, leave it empty if the value is missing",
             )
+    finite = np.isfinite(values)
+    if not file_format.invalid:
+        return values if finite.all() else np.where(finite, values, np.nan), np.zeros(len(values), dtype=bool)
     is_invalid = file_format.is_invalid(values)
-    return np.where(is_invalid | ~np.isfinite(values), np.nan, values), is_invalid
+    return np.where(is_invalid | ~finite, np.nan, values), is_invalid
+
+
+def text_as_numbers(text: pd.Series[Any]) -> tuple[FloatArray, BoolArray]:
+    """Return texts as numbers, NaN where there is none, and which are no numbers."""
+    try:
+        plain = pa.chunked_array(pa.array(text, pa.string(), from_pandas=True)).cast(pa.float64())
+    except pa.ArrowInvalid:
+        pass
+    else:
+        return plain.to_numpy().astype(np.float64), np.zeros(len(text), dtype=bool)
+    known = (text.notna() & (text != "") & (text.str.lower() != "nan")).to_numpy(dtype=bool)
+    good = known & pd.to_numeric(text, errors="coerce").notna().to_numpy(dtype=bool)
+    values = np.full(len(text), np.nan)
+    values[good] = [float(entry) for entry in text[good]]  # to the last digit, as the parser above
+    return values, known & ~good
 
 
 def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime64], BoolArray]:
@@ -65,12 +95,18 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
         return _as_ns(raw.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(raw), dtype=bool)
     if pd.api.types.is_datetime64_dtype(raw.dtype):
         return _to_utc(raw, column, file_format), np.zeros(len(raw), dtype=bool)
+    quick = _quick_times(column, file_format)
+    if quick is not None:
+        return quick, np.zeros(len(raw), dtype=bool)
     text = _as_text(raw, file_format)
+    if file_format.time_format in _EPOCHS:
+        count, _ = text_as_numbers(text)
+        is_invalid = file_format.is_invalid(count)
+        known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
+        return _counted(count, known, column, file_format.time_format), is_invalid
     is_number = pd.to_numeric(text.mask(text.str.contains(":", regex=False)), errors="coerce")
     is_invalid = file_format.is_invalid(is_number.to_numpy(dtype=np.float64, na_value=np.nan))
     known = (text.notna() & (text != "")).to_numpy(dtype=bool) & ~is_invalid
-    if file_format.time_format in _EPOCHS:
-        return _counted(is_number, known, column, file_format.time_format), is_invalid
     pattern = file_format.time_format
     if pattern is not None and file_format.decimal == ",":  # as in the entries, which have points by now
         pattern = pattern.replace(",", ".")
@@ -82,11 +118,19 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     if bad.any():
         index = int(np.argmax(bad))
         rule = "in ISO 8601, such as 2020-09-03T19:00:01.5 or 2020-09-03 20:00:01+01:00"
-        raise InputError(
-            f"Invalid time {_shown(raw.iloc[index])} in {column.where(index)}: it must be a date and time "
-            f"{rule if file_format.time_format is None else f'of the form {file_format.time_format!r}'}; correct the "
-            f"entry{', or give its time_format.' if file_format.time_format is None else '.'}"
+        hint = ""
+        if file_format.time_format is None:
+            counted = _epoch_of(float(is_number.iloc[index])) if is_number.notna().iloc[index] else ""
+            hint = f", or give its time_format{counted}"
+        else:
+            rule = f"of the form {file_format.time_format!r}"
+        column.refuse(
+            bad,
+            f"Invalid time {_shown(raw.iloc[index])} in {column.where(index)}: it must be a date and time {rule}; "
+            f"correct the entry{hint}",
         )
+        parsed = parsed.mask(bad)
+        known &= ~bad
     naive = parsed.dt.tz_localize(None)
     with_offset = text.str.contains(_WITH_OFFSET, regex=True, na=False).to_numpy(dtype=bool)
     if with_offset.all() or (with_offset | ~known).all():
@@ -95,18 +139,57 @@ def times(column: Column, file_format: FileFormat) -> tuple[NDArray[np.datetime6
     return np.where(with_offset, _as_ns(naive), converted), is_invalid
 
 
-def _counted(number: pd.Series[Any], known: BoolArray, column: Column, time_format: str) -> NDArray[np.datetime64]:
+def _epoch_of(number: float) -> str:
+    """Return, in words, how a number of a likely size counts time, or nothing."""
+    names = [
+        name for name in _EPOCHS if name.startswith("unix") and _LIKELY[0] < number * _EPOCHS[name][1] < _LIKELY[1]
+    ]
+    return f": by its size it is {names[0]!r} (--time-format {names[0]})" if names else ""
+
+
+def _quick_times(column: Column, file_format: FileFormat) -> NDArray[np.datetime64] | None:
+    """Return the times of a plain column, or None."""
+    raw = column.values
+    if not isinstance(raw.dtype, pd.StringDtype) or file_format.time_format in _EPOCHS:
+        return None
+    text = pa.chunked_array(pa.array(raw, pa.string(), from_pandas=True))
+    pattern = file_format.time_format
+    if file_format.decimal == ",":
+        text = pc.replace_substring(text, ",", ".")
+        pattern = None if pattern is None else pattern.replace(",", ".")
+    if pattern is None:
+        found = quick_iso_times(text)
+        if found is None:
+            return None
+        time, with_offset = found
+        if with_offset:
+            return time
+    else:
+        of_pattern = quick_pattern_times(text, pattern)
+        if of_pattern is None:
+            return None
+        time = of_pattern
+    zone = file_format.zone
+    if isinstance(zone, timezone):
+        shift = round(1e6 * zone.utcoffset(None).total_seconds())
+        return time - np.timedelta64(shift, "us")
+    return time if file_format.time_zone == "UTC" else _to_utc(pd.Series(time), column, file_format)
+
+
+def _counted(count: FloatArray, known: BoolArray, column: Column, time_format: str) -> NDArray[np.datetime64]:
     """Return times that are counted from an epoch, to a microsecond; float64 resolves no more."""
     epoch, unit = _EPOCHS[time_format]
-    count = number.to_numpy(dtype=np.float64, na_value=np.nan)
     seconds = unit * (count - (_MATLAB_EPOCH if time_format == "matlab" else 0.0))
     bad = known & ~(np.abs(seconds) < 9e9)
     if bad.any():
         index = int(np.argmax(bad))
-        raise InputError(
+        counted = _epoch_of(float(count[index]))
+        column.refuse(
+            bad,
             f"Invalid time {_shown(column.values.iloc[index])} in {column.where(index)}: it must be a number, as "
-            f"time_format={time_format!r} counts; correct the entry, or give another time_format."
+            f"time_format={time_format!r} counts; correct the entry, or give another time_format{counted}",
         )
+        known &= ~bad
     micro = np.round(1e6 * np.where(known, seconds, 0.0)).astype("timedelta64[us]")
     time = (np.datetime64(epoch, "us") + micro).astype("datetime64[ns]")
     return np.where(known, time, np.datetime64("NaT", "ns"))
@@ -136,9 +219,19 @@ def beams(column: Column, scan: Scan, file_format: FileFormat) -> tuple[NDArray[
             continue
         number = beam_number(label, scan, file_format)
         if number is None:
-            raise unknown_beam(label, column.where(int(np.argmax(code == index))), scan, file_format)
+            _refuse_beam(label, code == index, column, scan, file_format)
+            is_missing[index] = True
+            continue
         number_of[index] = number
     return number_of[code], is_missing[code], is_invalid[code]
+
+
+def _refuse_beam(label: str, rows: BoolArray, column: Column, scan: Scan, file_format: FileFormat) -> None:
+    """Refuse a beam that the scan does not have; a text that is no number may be a row to leave out."""
+    error = unknown_beam(label, column.where(int(np.argmax(rows))), scan, file_format)
+    if column.bad is None or not column.bad.drop or np.isfinite(_as_float(label)):
+        raise error
+    column.refuse(rows, str(error).removesuffix("."))
 
 
 def beam_label(raw: object) -> str:

@@ -27,11 +27,14 @@ class FileFormat(FileOptions):
     time_zone: str = "UTC"
     separator: str = ","
     decimal: str = "."
+    skip_rows: int = 0
     angle_tolerance_deg: float = 1.0
     phase_zero_deg: float = 0.0
     phase_turns: str = "up"
     required: frozenset[str] = frozenset()
     """Names that the caller mapped to a column, so that the column must be there."""
+    said: frozenset[str] = frozenset()
+    """Options that the caller or the scan gave: what a file says of itself counts after them."""
     from_format: frozenset[str] = frozenset()
     """Options that neither the caller nor the scan gave, so that the format's own default counts."""
 
@@ -121,7 +124,10 @@ def resolve_format(options: FileOptions, scan: Scan | None, *, defaults: Mapping
     asked = given.get("columns", {})
     chosen["columns"] = {**of_format.get("columns", {}), **of_scan.get("columns", {}), **asked}
     file_format = FileFormat(
-        **chosen, required=frozenset(asked), from_format=frozenset(of_format) - set(of_scan) - set(given)
+        **chosen,
+        required=frozenset(asked),
+        said=frozenset(of_scan) | frozenset(given),
+        from_format=frozenset(of_format) - set(of_scan) - set(given),
     )
     if file_format.separator == file_format.decimal and "separator" in chosen:
         raise InputError(

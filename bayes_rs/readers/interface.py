@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.rays import Rays
@@ -38,9 +39,15 @@ class Reader:
         Reads the rays of a file whose samples say where they point, as a survey of a scan needs them.
     pieces : callable, optional
         Reads the file so many rows at a time; without it a stream takes the file as one piece.
+    ranges : callable, optional
+        Returns the distinct distances along the beams of a file, m, in order, where rows rather than rays say them;
+        empty if they do not.
     own_options : callable, optional
         Options that the file itself states; None if it states none. They count after the caller's, and the scan's
         ``[file]`` table is then left aside.
+    must_say : tuple of str, optional
+        Options of `defaults` that nothing in such a file tells, so that the caller or the scan must give them before
+        velocities are read. A survey of directions needs none of them.
     """
 
     name: str
@@ -52,4 +59,6 @@ class Reader:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     rays: Callable[[Path, FileFormat], Rays] | None = None
     pieces: Callable[[Path, Scan, FileFormat, int], Iterator[Samples]] | None = None
+    ranges: Callable[[Path, FileFormat], FloatArray] | None = None
     own_options: Callable[[Path], Mapping[str, Any] | None] | None = None
+    must_say: tuple[str, ...] = ()

@@ -20,7 +20,7 @@ from bayes_rs.readers.directions import CommonDirections, common_directions
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.look_table import LookedTable, look_at_table, most_frequent, over_phase
-from bayes_rs.readers.netcdf_file import header_of
+from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.registry import FORMATS
@@ -161,7 +161,7 @@ def _of_rays(head: str, paths: Sequence[Path], first: Rays, asked: FileOptions, 
     )
     seconds, some = _beginning(time, velocity)
     height = f"{far * float(np.nanmedian(np.abs(direction[:, 2]))):.0f}"
-    wanted = ["--height", height] if np.nanmin(direction[:, 2]) > 0.05 else ["--distance", f"{far:g}"]
+    wanted = ["--height", height] if np.nanmin(direction[:, 2]) > 0.05 else ["--range", f"{far:g}"]
     group = [] if sum(one.kind == "beams" for one, _ in groups) <= 1 else ["--scan-group", "1"]
     next_words = ("find-scan", *named, *wanted, *group, "-o", "scan.toml")
     if main.kind != "beams":
@@ -248,7 +248,7 @@ def _of_netcdf(head: str, file: Path, asked: FileOptions, named: list[str], not_
     """Look at a NetCDF file that has no rays: its variables."""
     with plain_file(file) as plain:
         try:
-            variables = header_of(plain).variables
+            variables = glance(plain)["/"].names
         except InputError:
             raise not_rays from None
     names = sorted(map(str, variables))

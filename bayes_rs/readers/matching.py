@@ -60,7 +60,7 @@ def match_rays(
         check_positive(range_tolerance, what="range_tolerance", unit="m")
     n_ray = len(rays.time)
     no_time = np.isnat(rays.time)
-    first_beam = _first_of_direction(scan)
+    first_beam = first_of_direction(scan)
     along = _look_along(rays, scan, np.unique(first_beam), tolerance)
     if n_ray and not (along >= 0).any():
         raise InputError(
@@ -109,6 +109,7 @@ def match_rays(
         row=rays.row[chosen],
         row_word=rays.row_word,
         counts=counts,
+        facts=rays.facts,
     )
 
 
@@ -129,7 +130,15 @@ def gates_in_words(distance: FloatArray) -> str:
     return f"from {known.min():g} to {known.max():g} m" if known.size else "without a distance"
 
 
-def _first_of_direction(scan: Scan) -> IntArray:
+def nearest_beam(direction: FloatArray, scan: Scan, tolerance_deg: float) -> IntArray:
+    """Return for each ray, unit vectors (n_ray, 3), the index of the nearest beam within a tolerance, or −1."""
+    known = np.asarray(np.isfinite(direction).all(axis=1))
+    chord, nearest = cKDTree(scan.beam_direction).query(np.where(known[:, np.newaxis], direction, 0.0))
+    inside = known & (chord <= 2.0 * np.sin(0.5 * np.deg2rad(tolerance_deg)))
+    return np.where(inside, nearest, -1).astype(np.int64)
+
+
+def first_of_direction(scan: Scan) -> IntArray:
     """Return for each beam the index of the first beam with its direction."""
     tree = cKDTree(scan.beam_direction)
     return np.array([np.min(near) for near in tree.query_ball_point(scan.beam_direction, _SAME)], dtype=np.int64)

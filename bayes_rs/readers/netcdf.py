@@ -10,26 +10,23 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, in_short
-from bayes_rs.file_options import VELOCITY_UNITS
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.beam_ranges import match_ranges, no_range
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.netcdf_file import SUFFIXES, header_of, open_netcdf
+from bayes_rs.readers.netcdf_file import SUFFIXES, glance, open_netcdf
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import Column
+from bayes_rs.readers.units import as_text, with_velocity_unit
 from bayes_rs.stated_time import says_since
 
 RECORD_DIMS = ("record", "beam")
 """Dimensions of the variances in a file of records, which is no file of radial velocities."""
-_UNITS = {
-    **{unit: unit for unit in VELOCITY_UNITS},
-    **{f"{length} {second}": f"{length}/s" for length in ("m", "cm", "mm") for second in ("s-1", "s^-1")},
-    "km h-1": "km/h",
-    "knots": "knot",
-}
 
 
 def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -42,16 +39,32 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     """
     with open_netcdf(file) as dataset:
         column = _flatten(dataset, file, file_format)
+        velocity = column["radial_velocity"].heading
+        stated = dataset[velocity].attrs.get("units")
+    if isinstance(scan, RangedScan) and "range" not in column:
+        raise no_range(file)
+    file_format = with_velocity_unit(file_format, stated, name=velocity, file=file)
     time, invalid = times(column["time"], replace(file_format, time_zone="UTC"))
     beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
     invalid = invalid | invalid_beam
     value = {}
-    for name in ("radial_velocity", "cnr", "status"):
+    for name in ("radial_velocity", "cnr", "status", "range"):
         if name in column:
             value[name], invalid_value = numbers(column[name], file_format)
             invalid = invalid | invalid_value
     no_time = np.isnat(time)
     keep = ~(no_time | no_beam)
+    n_kept, counts, facts = int(keep.sum()), {}, {}
+    if "range" in value:
+        by_range = match_ranges(_distinct(value["range"]), scan, file, file_format)
+        beam, fits = by_range.beams(beam, value["range"])
+        no_range_said = keep & np.isnan(value["range"])
+        counts = {
+            "rows_without_range": int(no_range_said.sum()),
+            "rows_of_other_ranges": int((keep & ~no_range_said & ~fits).sum()),
+        }
+        facts = {"ranges": by_range.ranges.tolist(), "ranges_used": by_range.used.tolist()}
+        keep &= fits
     return Samples(
         file=file,
         kind="netcdf",
@@ -66,56 +79,66 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
         counts={
             "rows": len(keep),
             "rows_invalid_value": int(invalid.sum()),
-            "rows_dropped": int((~keep).sum()),
+            "rows_dropped": len(keep) - n_kept,
             "rows_without_time": int(no_time.sum()),
             "rows_without_beam": int(no_beam.sum()),
+            **counts,
         },
+        facts=facts,
     )
+
+
+def _distinct(ranges: FloatArray) -> FloatArray:
+    return np.unique(ranges[np.isfinite(ranges)])
+
+
+def ranges_of_netcdf(file: Path, file_format: FileFormat) -> FloatArray:
+    """Return the distinct ranges of a file, m, in order; empty if it says none.
+
+    Raises
+    ------
+    InputError
+        As `read_netcdf`.
+    """
+    with open_netcdf(file) as dataset:
+        column = _flatten(dataset, file, file_format)
+    return _distinct(numbers(column["range"], file_format)[0]) if "range" in column else np.zeros(0)
 
 
 def own_options(file: Path) -> dict[str, Any] | None:
     """Return what a file says about sign, unit and status, if it says the sign: then no preset speaks for it."""
-    header = header_of(file)
-    attributes = header.variables.get("radial_velocity", {})
+    root = glance(file)["/"]
+    attributes = root.attributes.get("radial_velocity", {})
     if "positive" not in attributes:
         return None
-    options: dict[str, Any] = {"positive": _as_text(attributes["positive"])}
-    if "units" in attributes:
-        unit = _as_text(attributes["units"])
-        if unit not in _UNITS:
-            raise InputError(
-                f"Unknown units {unit!r} of radial_velocity in file {str(file)!r}: "
-                f"they must be one of {', '.join(_UNITS)}; correct the attribute."
-            )
-        options["velocity_unit"] = _UNITS[unit]
-    if "status_valid" in header.attrs:
+    options: dict[str, Any] = {"positive": as_text(attributes["positive"])}
+    if "status_valid" in root.attrs:
         try:
-            options["status_valid"] = float(header.attrs["status_valid"])
+            options["status_valid"] = float(root.attrs["status_valid"])
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"Invalid status_valid {in_short(header.attrs['status_valid'])} in file {str(file)!r}: it must be a "
+                f"Invalid status_valid {in_short(root.attrs['status_valid'])} in file {str(file)!r}: it must be a "
                 "number; correct the attribute."
             ) from error
     return options
 
 
-def _as_text(value: object) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-
 def _flatten(dataset: xr.Dataset, file: Path, file_format: FileFormat) -> dict[str, Column]:
-    if "radial_velocity" not in file_format.required and dataset.get("variance", xr.DataArray()).dims == RECORD_DIMS:
+    if (
+        "radial_velocity" not in file_format.required
+        and dataset.get("variance", xr.DataArray()).dims[-2:] == RECORD_DIMS
+    ):
         raise InputError(
             f"File {str(file)!r} holds records, not radial velocities: give the files that the records were made of."
         )
     found = {}
-    for name in ("radial_velocity", "time", "beam", "cnr", "status"):
+    for name in ("radial_velocity", "time", "beam", "cnr", "status", "range"):
         own = file_format.column(name)
         if own not in dataset.variables and name == "status" and "quality" in dataset.variables:
             own = "quality"
         if own in dataset.variables:
             found[name] = dataset[own]
-        elif name not in ("cnr", "status") or name in file_format.required:
+        elif name not in ("cnr", "status", "range") or name in file_format.required:
             raise InputError(
                 f"File {str(file)!r} has no variable {own!r} for {name}: its variables are "
                 f"{', '.join(repr(str(variable)) for variable in dataset.variables)}; "
@@ -156,5 +179,6 @@ READER = Reader(
     suffixes=SUFFIXES,
     recognises=lambda *_: True,
     read=read_netcdf,
+    ranges=ranges_of_netcdf,
     own_options=own_options,
 )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,7 +21,9 @@ from xarray.core import indexing
 from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.netcdf_classic import check_classic_header
+from bayes_rs.readers.netcdf_group import Group, decoded
 from bayes_rs.readers.netcdf_guard import ask, ask_here
+from bayes_rs.readers.netcdf_names import MARKS, NAMES, REQUEST, STANDARD_NAMES
 from bayes_rs.readers.netcdf_process import TEXT
 
 SUFFIXES = (".nc", ".nc4", ".netcdf", ".cdf", ".h5")
@@ -56,46 +59,90 @@ def open_netcdf(file: Path, *, decode_times: bool = True, trusted: bool = False)
         yield groups["/"]()
 
 
-@contextmanager
-def open_groups(file: Path) -> Iterator[dict[str, xr.Dataset]]:
-    """Open all groups of a NetCDF file, by path, with their times as numbers; see `open_netcdf`."""
-    with _opened(file, decode_times=False) as groups:
-        yield {path: group() for path, group in groups.items()}
-
-
 def load_netcdf(file: Path, *, trusted: bool = False) -> xr.Dataset:
     """Return the root of a NetCDF file in memory; see `open_netcdf`."""
     with open_netcdf(file, trusted=trusted) as dataset:
         return dataset.load()
 
 
-class Header(NamedTuple):
-    """What the root of a file says of itself.
+def glance(file: Path, also: Iterable[str] = ()) -> dict[str, Group]:
+    """Return what readers of rays use of a NetCDF file, in memory, by one request; see `open_netcdf`.
 
-    Attributes
+    Parameters
     ----------
-    attrs : dict
-        Its attributes.
-    variables : dict of str to dict
-        The attributes of its variables, by their names.
+    file : Path
+        The file.
+    also : iterable of str
+        Variables that are in use, too, beside `netcdf_names.NAMES`; a group with one of them holds rays.
+
+    Returns
+    -------
+    groups : dict of str to Group
+        The groups by their paths, the root first. That of the last file is kept: who recognises it, who says what it
+        states of itself, and who reads it read it once.
     """
-
-    attrs: dict[str, Any]
-    variables: dict[str, dict[str, Any]]
-
-
-def header_of(file: Path) -> Header:
-    """Return what the root of a NetCDF file says of itself; no value is read. See `open_netcdf`."""
+    stat, more = file.stat(), tuple(sorted(set(also) - set(NAMES)))
+    key = (str(file.absolute()), stat.st_ino, stat.st_size, stat.st_mtime_ns, more)
+    last = _last.kept
+    if last is not None and last[0] == key:
+        return last[1]
     with _reading(file):
-        if _is_classic(file):
-            with xr.open_dataset(file, engine="scipy", decode_cf=False) as dataset:
-                return Header(dataset.attrs, {str(name): data.attrs for name, data in dataset.variables.items()})
-        try:
-            told = ask(file, "look")[0]["groups"]["/"]
-        finally:
-            with suppress(OSError, InputError):  # nothing is lost by it
-                ask(file, "close")
-        return Header(_attributes(told), {name: _attributes(about) for name, about in told["variables"].items()})
+        groups = _glanced(file, (*NAMES, *more), (*MARKS, *more))
+    _last.kept = key, groups
+    return groups
+
+
+class _Last(threading.local):
+    """The file that a thread has glanced at last, and what it saw."""
+
+    kept: tuple[tuple[Any, ...], dict[str, Group]] | None = None
+
+
+_last = _Last()
+
+
+def _glanced(file: Path, wanted: tuple[str, ...], marks: tuple[str, ...]) -> dict[str, Group]:
+    if _is_classic(file):
+        with xr.open_dataset(file, engine="scipy", decode_times=False) as dataset:
+            return {"/": _group_of("/", dataset, wanted, marks)}
+    told, content = ask(file, "glance", names=wanted, marks=marks, **REQUEST)
+    if told.get("unusual"):
+        with _opened(file, decode_times=False) as opened:
+            return {path: _group_of(path, group(), wanted, marks) for path, group in opened.items()}
+    at = 0
+    groups = {}
+    for path, about in told["groups"].items():
+        variables, attributes = {}, {}
+        for name, of in about["variables"].items():
+            attributes[name] = _attributes(of)
+            if about["has_values"]:
+                values = _values_from(memoryview(content)[at : at + of["n_byte"]], of["dtype"], tuple(of["shape"]))
+                at += of["n_byte"]
+                values = values.astype(str) if of["dtype"] == TEXT else values  # xarray takes long over objects
+                variables[name] = decoded(name, xr.Variable(_distinct(of["dims"]), values, attributes[name]))
+        groups[path] = Group(path, tuple(about["names"]), variables, attributes, _attributes(about))
+    return groups
+
+
+def _group_of(path: str, dataset: xr.Dataset, wanted: tuple[str, ...], marks: tuple[str, ...]) -> Group:
+    """Return what is in use of a group that xarray has opened."""
+    names = tuple(str(name) for name in dataset.variables)
+    found = [name for name in wanted if name in names]
+    has_values = any(name in marks for name in found)
+    if has_values and not any(name in REQUEST["among"] for name in found):
+        standard = {name: str(dataset.variables[name].attrs.get("standard_name", "")) for name in names}
+        found += [name for name in names if name not in found and standard[name] in STANDARD_NAMES]
+    return Group(
+        path,
+        names,
+        {name: dataset.variables[name].load() for name in found} if has_values else {},
+        {name: {**dataset.variables[name].attrs, **_fills(dataset.variables[name])} for name in found},
+        dataset.attrs,
+    )
+
+
+def _fills(variable: xr.Variable) -> dict[str, Any]:
+    return {key: variable.encoding[key] for key in ("_FillValue", "missing_value") if key in variable.encoding}
 
 
 @contextmanager
@@ -184,11 +231,16 @@ class _Values(BackendArray):
 
     def _from_file(self) -> NDArray[Any]:
         _, content = self.group.asked(self.group.file, "read", group=self.group.path, name=self.name)
-        if self.kind != TEXT:
-            return np.frombuffer(content, dtype=self.dtype).reshape(self.shape)
-        values = np.empty(self.shape, dtype=object)
-        values.ravel()[:] = json.loads(content)
-        return values
+        return _values_from(content, self.kind, self.shape)
+
+
+def _values_from(content: bytes | bytearray | memoryview, kind: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return values as `netcdf_process` hands them over."""
+    if kind != TEXT:
+        return np.frombuffer(content, dtype=kind).reshape(shape)
+    values = np.empty(shape, dtype=object)
+    values.ravel()[:] = json.loads(bytes(content))
+    return values
 
 
 def _distinct(dims: list[str]) -> list[str]:

@@ -31,7 +31,7 @@ _TRIES = 2  # a process can also die for another reason than the file
 _log = logging.getLogger(__name__)
 
 
-def ask(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | bytes]:
+def ask(file: Path, do: str, **what: Any) -> tuple[dict[str, Any], bytearray | bytes]:
     """Have a file looked at, read or closed in the other process, which starts with the first file and ends with this.
 
     Where no process can be started this one does it, and a warning is logged once.
@@ -40,7 +40,7 @@ def ask(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | b
     ----------
     file : Path
         An HDF5 file.
-    do, **what : str
+    do, **what
         As `netcdf_process.answer` says.
 
     Returns
@@ -62,7 +62,7 @@ def ask(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | b
     return ask_here(file, do, **what) if answer is None else _meaning(file, answer)
 
 
-def ask_here(file: Path, do: str, **what: str) -> tuple[dict[str, Any], bytearray | bytes]:
+def ask_here(file: Path, do: str, **what: Any) -> tuple[dict[str, Any], bytearray | bytes]:
     """Have a file that nobody but us can have written looked at, read or closed by this process; as `ask`."""
     with _guard.here:  # one request at a time, as in the other process: a thread may close what another one reads
         answer = netcdf_process.answer({"file": os.path.abspath(file), "do": do, **what})  # noqa: PTH100 - links stay
@@ -95,7 +95,7 @@ class _Guard:
     lock: threading.Lock = field(default_factory=threading.Lock)
     here: threading.Lock = field(default_factory=threading.Lock)
 
-    def ask(self, file: Path, request: dict[str, str]) -> _Answer | None:
+    def ask(self, file: Path, request: dict[str, Any]) -> _Answer | None:
         """Have a request answered, again by a new process if one dies; None where there is no process."""
         path, stat = os.path.abspath(file), file.stat()  # noqa: PTH100 - the process may stand elsewhere; links stay
         key, seconds = (path, stat.st_size, stat.st_mtime_ns), SECONDS + stat.st_size / BYTES_PER_SECOND
@@ -114,7 +114,7 @@ class _Guard:
                 if answer is not None:
                     if answer[0].get("spoilt"):
                         self.end()
-                    if "groups" in answer[0]:
+                    if request["do"] == "look" and "groups" in answer[0]:
                         self.seen = key, answer
                     return answer
                 died = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,20 +12,14 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.readers.compressed import UNREADABLE
+from bayes_rs.readers.contradictions import agree, distance_by_height
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.netcdf_group import Group
 from bayes_rs.readers.netcdf_missing import without_missing
 from bayes_rs.readers.rays import Rays, direction_of
-from bayes_rs.stated_time import says_since
+from bayes_rs.readers.units import factor_to_degrees, factor_to_metres, with_velocity_unit
 
 _ANGLE_LIMIT = 720.0  # degrees; scanners count on beyond a turn, fill values are far away
-_OTHER_UNITS = {
-    "azimuth": ("rad", "radian", "radians"),
-    "elevation": ("rad", "radian", "radians"),
-    "distance": ("km", "kilometer", "kilometers", "kilometre", "kilometres", "ft", "feet"),
-    "radial_velocity": ("km/h", "km h-1", "km h^-1", "knot", "knots", "kt", "cm/s", "cm s-1"),
-}
-"""Units that this reader would misread; the names of the right ones are too many to list."""
 
 
 def own_names(names: Mapping[str, str], file_format: FileFormat) -> dict[str, str]:
@@ -33,7 +28,7 @@ def own_names(names: Mapping[str, str], file_format: FileFormat) -> dict[str, st
 
 
 def rays_from(
-    dataset: xr.Dataset,
+    group: Group,
     file: Path,
     file_format: FileFormat,
     *,
@@ -43,17 +38,18 @@ def rays_from(
     accumulation_time: FloatArray | None = None,
     first_row: int = 1,
 ) -> Rays:
-    """Return the rays that one dataset holds.
+    """Return the rays that one group holds.
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        The variables, times as numbers.
+    group : Group
+        Its variables.
     file, file_format, kind
         As in `Rays`.
     names : mapping of str to str
-        What the dataset calls ``radial_velocity, time, azimuth, elevation, distance`` and, if it has them, ``cnr`` and
-        ``status``. The dimensions of the time are those of the rays; the velocity may have one more, the gates.
+        What it calls ``radial_velocity, time, azimuth, elevation, distance`` and, if it has them, ``cnr`` or
+        ``intensity`` (the signal-to-noise ratio plus one), ``status``, and the ``height`` of the gates. The dimensions
+        of the time are those of the rays; the velocity may have one more, the gates.
     time : ndarray of datetime64[ns]
         The times, in the shape of that variable.
     accumulation_time : ndarray, optional
@@ -64,11 +60,16 @@ def rays_from(
     Raises
     ------
     InputError
-        If a variable is missing, has other dimensions or another unit, or holds something else than numbers.
+        If a variable is missing, has other dimensions or a unit that is not known, or holds something else than
+        numbers; or distances and heights contradict each other.
     """
-    size, ray_dims = _layout(dataset, file, names)
+    size, ray_dims = _layout(group, file, names)
     n_ray = int(np.prod([size[dim] for dim in ray_dims]))
-    spread, invalid = _values(dataset, file, file_format, names, size, ray_dims)
+    velocity = names["radial_velocity"]
+    file_format = with_velocity_unit(
+        file_format, group.variables[velocity].attrs.get("units"), name=velocity, file=file
+    )
+    spread, invalid = _values(group, file, file_format, names, size, ray_dims)
     for name in ("azimuth", "elevation"):
         far = np.abs(spread[name]) > _ANGLE_LIMIT
         if far.any():
@@ -78,6 +79,8 @@ def rays_from(
                 f"from {-_ANGLE_LIMIT:g} to {_ANGLE_LIMIT:g} degrees; if the number marks a missing entry, "
                 f"give it as the option invalid ({spread[name][index]:g})."
             )
+    distance = np.where(spread["distance"] > 0.0, spread["distance"], np.nan)
+    distance, facts = _gates(distance, spread, file, file_format, names, first_row)
     duration = None
     if accumulation_time is not None and accumulation_time.size in (1, n_ray):
         duration = np.broadcast_to(np.ravel(accumulation_time), (n_ray,)).astype(np.float64)
@@ -87,9 +90,9 @@ def rays_from(
         file_format=file_format,
         time=file_format.to_start(time.reshape(n_ray), duration),
         direction=direction_of(spread["azimuth"], spread["elevation"]),
-        distance=np.where(spread["distance"] > 0.0, spread["distance"], np.nan),
+        distance=distance,
         radial_velocity=file_format.to_away(spread["radial_velocity"]),
-        cnr=spread.get("cnr"),
+        cnr=spread["cnr"] if "cnr" in spread else _as_cnr(spread.get("intensity")),
         status=spread.get("status"),
         row=first_row + np.arange(n_ray, dtype=np.int64),
         row_word="ray",
@@ -101,34 +104,68 @@ def rays_from(
             "rows_without_beam": 0,
         },
         accumulation_time=duration,
+        facts=facts,
     )
 
 
-def _layout(
-    dataset: xr.Dataset, file: Path, names: Mapping[str, str]
-) -> tuple[dict[Hashable, int], tuple[Hashable, ...]]:
+def _as_cnr(intensity: FloatArray | None) -> FloatArray | None:
+    """Return the ratio of carrier to noise, dB, of an intensity, which is that plus one; None of none."""
+    if intensity is None:
+        return None
+    ratio = intensity - 1.0
+    return 10.0 * np.log10(np.where(ratio > 0.0, ratio, np.nan))
+
+
+def _gates(
+    distance: FloatArray,
+    spread: Mapping[str, FloatArray],
+    file: Path,
+    file_format: FileFormat,
+    names: Mapping[str, str],
+    first_row: int,
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Return the distances that are believed, and what the report says of it, where a file says heights, too."""
+    height, elevation = spread.get("height"), spread["elevation"]
+    if height is None or file_format.gates_by == "distance":
+        return distance, {}
+    if file_format.gates_by == "height":
+        return distance_by_height(height, elevation), {}
+    agreed = agree(distance, elevation, height)
+    if agreed.distance is None:
+        ray, gate = agreed.worst
+        raise InputError(
+            f"Distances and heights of the gates in file {str(file)!r} contradict each other: in ray "
+            f"{first_row + ray}, at an elevation of {elevation[ray]:g} degrees, gate {gate + 1} has the distance "
+            f"{distance[ray, gate]:g} m in {names['distance']!r} and the height {height[ray, gate]:g} m in "
+            f"{names['height']!r}, and no other order of the rows agrees; say which to believe with "
+            "gates_by='distance' or gates_by='height' (--gates-by)."
+        )
+    return agreed.distance, {"range_rows_reordered": True} if agreed.reordered else {}
+
+
+def _layout(group: Group, file: Path, names: Mapping[str, str]) -> tuple[dict[Hashable, int], tuple[Hashable, ...]]:
     """Return the sizes of the dimensions of rays and gates, in this order, and which dimensions are those of rays."""
     for name in ("radial_velocity", "time", "azimuth", "elevation", "distance"):
-        if names[name] not in dataset.variables:
-            found = ", ".join(repr(str(variable)) for variable in dataset.variables)
+        if names[name] not in group.variables:
+            found = ", ".join(repr(variable) for variable in group.names)
             raise InputError(
                 f"File {str(file)!r} has no variable {names[name]!r} for the {name.replace('_', ' ')} of its rays: its "
                 f"variables are {found}; say what the file calls it with the option columns={{{name!r}: 'name in the "
                 "file'}, or give another file_format."
             )
-    velocity = dataset.variables[names["radial_velocity"]]
-    ray_dims = dataset.variables[names["time"]].dims
+    velocity = group.variables[names["radial_velocity"]]
+    ray_dims = group.variables[names["time"]].dims
     gate_dims = [dim for dim in velocity.dims if dim not in ray_dims]
     if not ray_dims or not set(ray_dims) <= set(velocity.dims) or len(gate_dims) > 1:
         raise InputError(
             f"Variable {names['radial_velocity']!r} in file {str(file)!r} has the dimensions {velocity.dims}: it must "
             f"have those of the time, {ray_dims}, and at most one more, the gates."
         )
-    return {dim: dataset.sizes[dim] for dim in (*ray_dims, *gate_dims)}, ray_dims
+    return {dim: group.sizes[str(dim)] for dim in (*ray_dims, *gate_dims)}, ray_dims
 
 
 def _values(
-    dataset: xr.Dataset,
+    group: Group,
     file: Path,
     file_format: FileFormat,
     names: Mapping[str, str],
@@ -140,16 +177,30 @@ def _values(
     n_gate = int(np.prod([size[dim] for dim in size if dim not in ray_dims]))
     spread = {}
     invalid = np.zeros(n_ray, dtype=bool)
-    for name in ("radial_velocity", "azimuth", "elevation", "distance", "cnr", "status"):
-        if names.get(name) in dataset.variables:
+    for name in ("radial_velocity", "azimuth", "elevation", "distance", "cnr", "intensity", "status", "height"):
+        own = names.get(name, "")
+        if own in group.variables:
+            variable = group.variables[own]
+            factor = _factor(name, variable.attrs.get("units"), own, file)
             per_ray = name in ("azimuth", "elevation")
             dims = {dim: size[dim] for dim in ray_dims} if per_ray else size
-            values = _numbers(dataset.variables[names[name]], name, names[name], file, dims)
+            values = _numbers(variable, own, file, dims)
             values = values.reshape(n_ray) if per_ray else values.reshape(n_ray, n_gate)
-            is_invalid = file_format.is_invalid(values)
-            invalid |= is_invalid if per_ray else is_invalid.any(axis=1)
-            spread[name] = np.where(is_invalid | ~np.isfinite(values), np.nan, values)
+            bad = ~np.isfinite(values)
+            if file_format.invalid and name not in ("intensity", "height"):
+                is_invalid = file_format.is_invalid(values)
+                invalid |= is_invalid if per_ray else is_invalid.any(axis=1)
+                bad |= is_invalid
+            values = values if factor == 1.0 else factor * values
+            spread[name] = np.where(bad, np.nan, values)
     return spread, int(invalid.sum())
+
+
+def _factor(name: str, stated: object, own: str, file: Path) -> float:
+    """Return by what values in the unit that the file states must be multiplied to be in ours."""
+    if name in ("azimuth", "elevation"):
+        return factor_to_degrees(stated, name=own, file=file)
+    return factor_to_metres(stated, name=own, file=file) if name in ("distance", "height") else 1.0
 
 
 def join_rays(parts: Sequence[Rays]) -> Rays:
@@ -191,55 +242,16 @@ def join_rays(parts: Sequence[Rays]) -> Rays:
         row_word=first.row_word,
         counts={key: sum(part.counts[key] for part in parts) for key in first.counts},
         accumulation_time=np.concatenate(durations),
+        facts={key: value for part in parts for key, value in part.facts.items()},
     )
 
 
-def decode_times(variable: xr.Variable, units: str, name: str, file: Path) -> NDArray[np.datetime64]:
-    """Return times that a file counts in `units` (such as ``seconds since 1970-01-01``), NaT where missing.
-
-    Raises
-    ------
-    InputError
-        If the units or the calendar cannot be used, or the times are no numbers.
-    """
-    attributes = {"units": units, **{key: variable.attrs[key] for key in ("calendar",) if key in variable.attrs}}
-    try:
-        if not says_since(units):
-            raise ValueError("they do not say the date that they count from")
-        raw = np.asarray(without_missing(variable).values, dtype=np.float64)
-        counted = xr.Variable(variable.dims, np.where(np.isfinite(raw), raw, np.nan), attributes)
-        decoded = xr.decode_cf(xr.Dataset({"t": counted}), decode_timedelta=False)["t"].values
-        if not np.issubdtype(decoded.dtype, np.datetime64):
-            raise ValueError("they are no dates of the Gregorian calendar")
-        return decoded.astype("datetime64[ns]")
-    except UNREADABLE as error:
-        raise InputError(
-            f"Variable {name!r} of file {str(file)!r} cannot be read as times in {units!r}: {_first_line(error)}; "
-            "give a file whose times are counted by the CF conventions, such as 'seconds since 1970-01-01'."
-        ) from error
-
-
-def text_of(variable: xr.Variable) -> str:
-    """Return the text that a variable holds as a string, bytes or characters."""
-    raw = variable.values
-    if raw.dtype.kind == "S" and raw.ndim:
-        return b"".join(raw.ravel().tolist()).decode("utf-8", errors="replace").strip("\0 ")
-    value = raw.ravel()[0] if raw.size else ""
-    return (value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
-
-
-def _numbers(variable: xr.Variable, name: str, own: str, file: Path, size: Mapping[Hashable, int]) -> FloatArray:
+def _numbers(variable: xr.Variable, own: str, file: Path, size: Mapping[Hashable, int]) -> FloatArray:
     """Return a variable as numbers in the shape `size`."""
     if not set(variable.dims) <= set(size):
         raise InputError(
             f"Variable {own!r} in file {str(file)!r} has the dimensions {variable.dims}: they must be among "
             f"{tuple(size)}, those of the radial velocity{'' if len(size) > 1 else ' without its gates'}."
-        )
-    unit = str(variable.attrs.get("units", "")).strip().lower()
-    if unit in _OTHER_UNITS.get(name, ()):
-        raise InputError(
-            f"Variable {own!r} in file {str(file)!r} has the units {unit!r}: this format counts in degrees, m and m/s; "
-            "convert the file."
         )
     values = without_missing(variable).transpose(*(dim for dim in size if dim in variable.dims)).values
     shape = [length if dim in variable.dims else 1 for dim, length in size.items()]

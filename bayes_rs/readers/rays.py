@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,8 @@ class Rays:
         ``rows_without_beam``.
     accumulation_time : ndarray, shape (n_ray,), optional
         How long each ray was measured, s; NaN where the file does not say.
+    facts : mapping
+        What else the report says of the file.
     """
 
     file: Path
@@ -60,6 +63,7 @@ class Rays:
     row_word: str
     counts: Mapping[str, int] = field(default_factory=dict)
     accumulation_time: FloatArray | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 def direction_of(azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:

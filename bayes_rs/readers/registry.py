@@ -13,12 +13,19 @@ if TYPE_CHECKING:
 READERS: Registry[Reader] = Registry(
     {
         "halo": "bayes_rs.readers.halo:READER",
+        "windcube-text": "bayes_rs.readers.windcube_text:READER",
+        "galion": "bayes_rs.readers.galion:READER",
+        "windscanner": "bayes_rs.readers.windscanner:READER",
         "zx": "bayes_rs.readers.zx:READER",
         "spinnerlidar": "bayes_rs.readers.spinnerlidar:READER",
+        "molas": "bayes_rs.readers.ray_table:MOLAS",
+        "rays": "bayes_rs.readers.ray_table:READER",
         "long": "bayes_rs.readers.long_table:READER",
         "wide": "bayes_rs.readers.wide_table:READER",
         "windcube": "bayes_rs.readers.windcube:READER",
         "e-windlidar": "bayes_rs.readers.e_windlidar:READER",
+        "arm": "bayes_rs.readers.arm:READER",
+        "cfradial": "bayes_rs.readers.cfradial:READER",
         "netcdf": "bayes_rs.readers.netcdf:READER",
     }
 )

@@ -17,7 +17,14 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.quality.samples import distinct, is_sorted
 from bayes_rs.readers.format import FileFormat
+from bayes_rs.readers.unnamed_ranges import several_in_words
+
+_FEW = 3
+_RARE = 0.01
+"""Samples, and their share, that may be of one beam and time and differ, as after a clock was set back: sorting has to
+choose there."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,8 @@ class Samples:
     counts: dict[str, int] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     """What else the report says of the file: what is not believed of it."""
+    like_ranges: tuple[str, ...] = ()
+    """Headings of the file that look like ranges and are not in use."""
     out_of_order: int | None = None
     """Samples earlier than one of the same beam above them in the file, where these are only a piece of it."""
 
@@ -69,8 +78,12 @@ class FilesReport:
     passed_over: Mapping[str, int] = field(default_factory=dict)
 
 
-def no_sample(file: Path, n_row: int) -> InputError:
-    """Return the error to raise for a file without a sample."""
+def no_sample(file: Path, n_row: int, n_cut: int = 0) -> InputError:
+    """Return the error to raise for a file without a sample, also where its last row is not believed."""
+    if n_cut and n_cut == n_row:
+        return InputError(
+            f"File {str(file)!r} ends within its only row, whose last number may be cut: end the line, if it is whole."
+        )
     return InputError(
         f"File {str(file)!r} has no sample with a time and a beam ({n_row} rows were read): check the file and the "
         "option invalid."
@@ -112,7 +125,8 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     Raises
     ------
     InputError
-        If files differ in their columns, or one beam has two velocities at one time.
+        If files differ in their columns, or one beam has two velocities at one time; with ``out_of_order="sort"``
+        only if that is more than a rare coincidence. Of such samples none is believed: they have no velocity.
     """
     status_valid = _one_status(parts)
     backwards = [count_backwards(part) if part.out_of_order is None else part.out_of_order for part in parts]
@@ -121,40 +135,38 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     velocity = np.concatenate([part.radial_velocity for part in parts])
     optional = {name: _join_optional(parts, name) for name in ("cnr", "status")}
 
-    order = np.lexsort((np.isnan(velocity), beam, time))  # of two equal samples, one with a velocity comes first
-    time, beam, velocity = time[order], beam[order], velocity[order]
-    repeated = np.zeros(len(time), dtype=bool)
-    repeated[1:] = (time[1:] == time[:-1]) & (beam[1:] == beam[:-1])
-    first = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(time))))
-    differs = repeated & ~np.isnan(velocity) & (velocity != velocity[first])
-    if differs.any() and parts[0].file_format.out_of_order == "error":
-        index = int(np.argmax(differs))
-        raise _two_values(parts, int(order[first[index]]), int(order[index]))
-    keep = ~repeated
+    chosen: slice | NDArray[np.int64] = slice(None)
+    n_repeated = n_differ = 0
+    if not _in_order(time, beam):
+        chosen, velocity, n_repeated, n_differ = _sorted(parts, time, beam, velocity)
+    time, beam, velocity = time[chosen], beam[chosen], velocity[chosen]
 
     variables: dict[str, Any] = {
         "radial_velocity": (
             "sample",
-            velocity[keep],
+            velocity,
             {"units": "m s-1", "positive": "away", "long_name": "radial velocity, positive away from the lidar"},
         )
     }
     attributes = {"cnr": {"units": "dB"}, "status": {"long_name": "status as in the file"}}
     for name, values in optional.items():
         if values is not None:
-            variables[name] = ("sample", values[order][keep], attributes[name])
+            variables[name] = ("sample", values[chosen], attributes[name])
     counted = {
-        **{key: sum(part.counts.get(key, 0) for part in parts) for key in parts[0].counts},
-        "samples": int(keep.sum()),
-        "samples_without_velocity": int(np.isnan(velocity[keep]).sum()),
+        **{
+            key: sum(part.counts.get(key, 0) for part in parts)
+            for key in dict.fromkeys(key for part in parts for key in part.counts)
+        },
+        "samples": len(time),
+        "samples_without_velocity": int(np.count_nonzero(np.isnan(velocity))),
         "samples_out_of_order": sum(backwards),
-        "duplicates_dropped": int(repeated.sum()),
-        "duplicates_that_differ": int(differs.sum()),
-        **_about_files(parts, scan, backwards, np.unique(beam), report or FilesReport()),
+        "duplicates_dropped": n_repeated,
+        "duplicates_that_differ": n_differ,
+        **_about_files(parts, scan, backwards, distinct(beam), report or FilesReport()),
     }
     series = xr.Dataset(
         variables,
-        coords={"time": ("sample", time[keep]), "beam": ("sample", beam[keep])},
+        coords={"time": ("sample", time), "beam": ("sample", beam)},
         attrs={
             "scan": scan.name,
             "scan_key": scan.key,
@@ -165,6 +177,30 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
     own = {} if status_valid is None else {"status_valid": status_valid}
     limit = max(part.file_format.velocity_limit for part in parts)
     return series.assign_attrs(own if limit == VELOCITY_LIMIT else {**own, "velocity_limit": limit})
+
+
+def _sorted(
+    parts: Sequence[Samples], time: NDArray[np.datetime64], beam: NDArray[np.int64], velocity: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, int, int]:
+    """Return the order of time and beams without repeated samples, the velocities that are believed, and two counts.
+
+    These are of samples that were repeated, and of those of them that differ.
+    """
+    order = np.lexsort((np.isnan(velocity), beam, time))  # of two equal samples, one with a velocity comes first
+    in_time, of_beam, values = time[order], beam[order], velocity[order]
+    repeated = np.zeros(len(time), dtype=bool)
+    repeated[1:] = (in_time[1:] == in_time[:-1]) & (of_beam[1:] == of_beam[:-1])
+    first = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(time))))
+    differs = repeated & ~np.isnan(values) & (values != values[first])
+    n_differ, n_sample = int(differs.sum()), int((~repeated).sum())
+    if n_differ:
+        rare = n_differ <= max(_FEW, _RARE * n_sample) and 10 * n_differ <= n_sample
+        if parts[0].file_format.out_of_order == "error" or not rare:
+            index = int(np.argmax(differs))
+            raise _two_values(parts, int(order[first[index]]), int(order[index]), n_differ)
+        velocity = velocity.copy()
+        velocity[order[first[differs]]] = np.nan  # which of them is right, nobody knows
+    return order[~repeated], velocity, int(repeated.sum()), n_differ
 
 
 def _about_files(
@@ -207,16 +243,26 @@ def _options_used(file_format: FileFormat) -> dict[str, Any]:
 def count_backwards(part: Samples, latest: Mapping[int, np.datetime64] | None = None) -> int:
     """Count the samples that are earlier than one of the same beam above them, in this piece or before (`latest`)."""
     backwards = _backwards(part)
-    for beam, before in (latest or {}).items():
-        backwards = backwards | (part.beam == beam) & (part.time < before)
+    if latest and len(part.time) and part.time.min() < max(latest.values()):
+        for beam, before in latest.items():
+            backwards = backwards | (part.beam == beam) & (part.time < before)
     return int(backwards.sum())
 
 
 def _backwards(part: Samples) -> NDArray[np.bool_]:
     """Say which samples are earlier than one of the same beam above them."""
-    time = pd.Series(part.time.astype(np.int64))
+    count = part.time.astype(np.int64)
+    if is_sorted(count):
+        return np.zeros(len(count), dtype=bool)
+    time = pd.Series(count)
     latest = time.groupby(part.beam).cummax()
     return (time < latest).to_numpy()
+
+
+def _in_order(time: NDArray[np.datetime64], beam: NDArray[np.int64]) -> bool:
+    """Say whether samples are in the order of time, those of one time in that of their beams, and none is twice."""
+    later = time[1:] > time[:-1]
+    return bool(later.all()) or bool((later | ((time[1:] == time[:-1]) & (beam[1:] > beam[:-1]))).all())
 
 
 def _join_optional(parts: Sequence[Samples], name: str) -> FloatArray | None:
@@ -242,16 +288,21 @@ def _one_status(parts: Sequence[Samples]) -> float | None:
     return valid.pop()
 
 
-def _two_values(parts: Sequence[Samples], first: int, second: int) -> InputError:
+def _two_values(parts: Sequence[Samples], first: int, second: int, n_differ: int) -> InputError:
     ends = np.cumsum([len(part.time) for part in parts])
     starts = ends - [len(part.time) for part in parts]
     one, two = (int(np.searchsorted(ends, index, side="right")) for index in (first, second))
     a, b = first - int(starts[one]), second - int(starts[two])
+    if parts[one].file == parts[two].file and parts[one].kind != "long":
+        advice = "give time stamps that tell samples apart"
+    elif parts[one].file == parts[two].file:
+        advice = several_in_words(parts[one].like_ranges)
+    else:
+        advice = "the files seem to be of several instruments or ranges, or one is another's correction: read one alone"
     return InputError(
         f"Two samples of beam {parts[one].beam[a]} at {as_utc(parts[one].time[a])} differ: "
         f"{parts[one].radial_velocity[a]:g} m/s in {parts[one].where(a)} and {parts[two].radial_velocity[b]:g} m/s in "
-        f"{parts[two].where(b)}; give time stamps that tell samples apart, "
-        "or out_of_order='sort' (--out-of-order sort) to keep the first."
+        f"{parts[two].where(b)}{f', and {n_differ - 1} more such' if n_differ > 1 else ''}; {advice}."
     )
 
 

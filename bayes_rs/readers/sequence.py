@@ -99,6 +99,7 @@ def match_sequence(
             "rows_without_time": rays.counts.get("rows_without_time", 0) + int(no_time.sum()),
             "rows_without_beam": rays.counts.get("rows_without_beam", 0) + int((~keep & ~no_time).sum()),
         },
+        facts=rays.facts,
     )
 
 

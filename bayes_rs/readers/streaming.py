@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,11 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.quality.samples import ends_by_beam
 from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.one_file import SUFFIXES, read_pieces
+from bayes_rs.readers.ranged_series import with_ranges
 from bayes_rs.readers.reading import checked_options
 from bayes_rs.readers.samples import (
     FilesReport,
@@ -88,11 +92,11 @@ def stream(
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "day.csv"
-    ...     rows = [f"2020-09-03T19:{minute:02d}:00,0,-{minute}\n" for minute in range(4)]
+    ...     rows = [f"2020-09-03T19:{minute:02d}:00,0,{minute}\n" for minute in range(4)]
     ...     _ = file.write_text("time,beam,radial_velocity\n" + "".join(rows))
     ...     pieces = stream(file, "staring", chunk_rows=2, period=60.0)
     ...     [series["radial_velocity"].values.tolist() for series in pieces]
-    [[0.0, -1.0], [-2.0, -3.0]]
+    [[0.0, 1.0], [2.0, 3.0]]
     """
     of_scan = as_scan(scan)
     chosen = checked_options(options, of_scan)
@@ -101,8 +105,24 @@ def stream(
     if window == 0:
         raise InputError(f"Invalid period {period!r} s: it must be at least a nanosecond.")
     found = find_files(files, SUFFIXES)
+    of_scan = scan_at_ranges(found.paths, of_scan, chosen)
     merged = _Merge(of_scan, chosen, n_row, dict(found.passed_over))
     return merged.series(found.paths, window)
+
+
+def series_of_read(
+    parts: Sequence[Samples], scan: Scan, options: FileOptions, *, chunk_rows: int
+) -> Iterator[xr.Dataset]:
+    """Give the series of files that were read already, as `stream` gives them; at once if none overlaps the next."""
+    times = [(part.time.min(), part.time.max()) for part in parts]
+    if all(one[1] < other[0] for one, other in pairwise(times)):
+        for part in parts:
+            if part.file_format.out_of_order == "error":
+                check_order(part)
+        yield with_ranges(join_samples(parts, scan), scan)
+        return
+    merged = _Merge(scan, options, chunk_rows, {}, kept={part.file: part for part in parts})
+    yield from merged.series([part.file for part in parts], None)
 
 
 @dataclass
@@ -113,6 +133,7 @@ class _Source:
     pieces: Iterator[Samples]
     reached: np.datetime64 = _EVER
     n_row: int = 0
+    n_cut: int = 0
     latest: dict[int, np.datetime64] = field(default_factory=dict)
 
 
@@ -159,6 +180,9 @@ class _Merge:
             return [(_EVER, paths[0])]
         firsts = []
         for file in paths:
+            if file in self.kept:
+                firsts.append((self.kept[file].time.min() - HOLD_BACK, file))
+                continue
             try:
                 pieces = read_pieces(file, self.scan, self.options, _PEEK)
                 part = next(pieces)
@@ -182,7 +206,7 @@ class _Merge:
             part = next(source.pieces, None)
             if part is None:
                 if not source.latest:
-                    raise no_sample(source.file, source.n_row)
+                    raise no_sample(source.file, source.n_row, source.n_cut)
                 return False
             if part.file_format.out_of_order == "error":
                 check_order(part)
@@ -192,6 +216,7 @@ class _Merge:
             self._skip(source.file, error)
             return False
         source.n_row += part.counts.get("rows", 0)
+        source.n_cut += part.counts.get("rows_cut", 0)
         self.held.append(replace(part, out_of_order=out_of_order))
         if len(part.time):
             source.reached = max(source.reached, part.time.max())
@@ -205,12 +230,12 @@ class _Merge:
                 f"Time goes backwards in {part.where(index)}: {as_utc(part.time[index])} comes after "
                 f"{as_utc(self.given_out)}, which was given out; sort the file by time, or give a larger chunk_rows."
             )
-        for beam in np.unique(part.beam).tolist():
-            of_beam = np.flatnonzero(part.beam == beam)
+        for beam, (begin, end) in ends_by_beam(part.time.astype(np.int64), part.beam).items():
+            first, last = np.datetime64(begin, "ns"), np.datetime64(end, "ns")
             before = source.latest.get(beam)
-            if before is not None and part.file_format.out_of_order == "error" and part.time[of_beam[0]] < before:
-                raise time_goes_backwards(part, int(of_beam[0]), before, "in the rows above")
-            last = part.time[of_beam].max()
+            if before is not None and part.file_format.out_of_order == "error" and first < before:
+                index = int(np.argmax(part.beam == beam))
+                raise time_goes_backwards(part, index, before, "in the rows above")
             source.latest[beam] = last if before is None else max(before, last)
 
     def _give_out(self, until: np.datetime64, window: int | None) -> xr.Dataset | None:
@@ -235,7 +260,7 @@ class _Merge:
         self.held, self.given_out = later, until
         report = FilesReport(skipped=self.skipped, passed_over=self.passed_over)
         self.skipped, self.passed_over = [], dict.fromkeys(self.passed_over, 0)
-        return join_samples(ready, self.scan, report=report)
+        return with_ranges(join_samples(ready, self.scan, report=report), self.scan)
 
     def _skip(self, file: Path, error: InputError) -> None:
         if self.options.on_bad_file == "error":

@@ -172,9 +172,10 @@ def survey(
     group: int | None = None,
     name: str | None = None,
     probe: Probe | None = None,
+    any_gate: bool = False,
     **options: Any,
 ) -> Survey:
-    """Return what `find_scan` finds, with all that is beside it in the files."""
+    """Return what `find_scan` finds, with all that is beside it in the files; at any gate if it does not matter."""
     wanted, what = _wanted(height, distance)
     tolerance = check_positive(tolerance_deg, what="tolerance_deg", unit="degrees")
     share = check_finite(min_share, what="min_share", unit="")
@@ -191,7 +192,9 @@ def survey(
     most = max(len(one.rays) for one in every)
     kept = [one for one in every if len(one.rays) >= share * most]
     rare = [one for one in every if len(one.rays) < share * most]
-    if not wanted:
+    if not wanted and any_gate:
+        wanted, what = _nearest_gate(kept, gates)
+    elif not wanted:
         wanted = [_only_gate(kept, gates)]
     kept, beam_time, duration, irregular = _timing(kept, time, tolerance, paths)
     focus = np.array([[_focus(one, gates, goal, what, paths) for one in kept] for goal in wanted])
@@ -301,9 +304,19 @@ def _only_gate(groups: Sequence[_Found], gates: FloatArray) -> float:
             words = f"in {_in_words(one)} at {distances}{heights}"
             break
     raise InputError(
-        "Give height or distance (m), one of the two: they say which gates the beams take. The gates that are there: "
+        "Give height or distance (m; --height, --range), one of the two: they say which gates the beams take. The "
+        "gates that are there: "
         f"{words}."
     )
+
+
+def _nearest_gate(groups: Sequence[_Found], gates: FloatArray) -> tuple[list[float], str]:
+    """Return the least height, or distance if not all directions rise, at which every direction has a gate."""
+    rise = [float(one.direction[2]) for one in groups]
+    what = "height" if min(rise) > 0.0 else "distance"
+    near = [np.nanmin(np.where(np.isfinite(gates[one.rays]), gates[one.rays], np.inf)) for one in groups]
+    ends = [first * (up if what == "height" else 1.0) for first, up in zip(near, rise, strict=True)]
+    return [float(max(ends))], what
 
 
 def _some(values: FloatArray) -> str:

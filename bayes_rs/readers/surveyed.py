@@ -16,6 +16,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
+from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.registry import READERS
 
@@ -82,6 +83,9 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
         If it is in none of the formats whose rays say where they point, or cannot be used.
     """
     kind = options.file_format
+    reason = why_not(path)
+    if reason is not None:
+        raise InputError(reason)
     nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
     with plain_file(path) as plain:
         try:

@@ -91,7 +91,10 @@ def _pieces(file: Path, scan: Scan, file_format: FileFormat, n_row: int | None) 
         )
     wanted = [file_format.column("time"), *(heading for part in found.values() for heading in part.values())]
     for frame, before in table.pieces(list(dict.fromkeys(wanted)), text=[file_format.column("time")], n_row=n_row):
-        yield _samples(table, found, frame, before)
+        samples = _samples(table, found, frame, before)
+        if n_row is None:
+            table.bad.check(len(frame))
+        yield samples
 
 
 def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.DataFrame, before: int) -> Samples:
@@ -108,7 +111,9 @@ def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.Dat
                 block[:, index], invalid_value = numbers(column, file_format)
                 invalid = invalid | invalid_value
         value[name] = block
-    keep = ~np.isnat(time)
+    no_time = np.isnat(time)
+    left_out = table.bad.mask(time_column.first_row, len(frame))
+    keep = ~(no_time | left_out)
     n_row = int(keep.sum())
     return Samples(
         file=table.file,
@@ -124,10 +129,12 @@ def _samples(table: Table, found: Mapping[str, Mapping[int, str]], frame: pd.Dat
         counts={
             "rows": len(frame),
             "rows_invalid_value": int(invalid.sum()),
-            "rows_dropped": int((~keep).sum()),
-            "rows_without_time": int((~keep).sum()),
+            "rows_dropped": int((no_time & ~left_out).sum()),
+            "rows_without_time": int((no_time & ~left_out).sum()),
             "rows_without_beam": 0,
+            **table.bad.counts(time_column.first_row, len(frame)),
         },
+        facts=table.bad.facts(),
     )
 
 

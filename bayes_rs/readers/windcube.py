@@ -5,25 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import xarray as xr
-from numpy.typing import NDArray
-
-from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.cfradial import velocities_in
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
-from bayes_rs.readers.netcdf_file import header_of, open_groups
-from bayes_rs.readers.ray_variables import (
-    decode_times,
-    join_rays,
-    own_names,
-    rays_from,
-    text_of,
-)
+from bayes_rs.readers.netcdf_file import glance
+from bayes_rs.readers.ray_times import accumulation_time_of, times_of
+from bayes_rs.readers.ray_variables import join_rays, own_names, rays_from
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 
@@ -35,22 +26,23 @@ NAMES = {
     "distance": "range",
     "cnr": "cnr",
     "status": "radial_wind_speed_status",
+    "height": "measurement_height",
 }
 STATUS_VALID = 1.0
 """``radial_wind_speed_status`` of an accepted velocity; 0 is rejected."""
 
-_SECONDS = {"ms": 1e-3, "millisecond": 1e-3, "milliseconds": 1e-3, "s": 1.0, "second": 1.0, "seconds": 1.0}
-_REFERENCE = "time_reference"
-
 
 def recognises_windcube(file: Path) -> bool:
-    """Say whether a file is a WindCube's, by its variables: in the root or in the groups that the root lists."""
+    """Say whether a file is a WindCube's: by its variables in the root or in a group, or by a list of no groups."""
     try:
-        names = set(header_of(file).variables)
+        groups = glance(file)
     except InputError:
         return False
     own = {NAMES[name] for name in ("radial_velocity", "azimuth", "elevation", "distance")}
-    return "sweep_group_name" in names or own <= names
+    if any(own <= set(group.names) for group in groups.values()):
+        return True
+    others = {name for group in groups.values() for name in velocities_in(group)} - {NAMES["radial_velocity"]}
+    return "sweep_group_name" in groups["/"].names and not others  # CfRadial 2 lists its groups, too
 
 
 def read_windcube(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
@@ -95,7 +87,9 @@ def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
     Read from the variables: ``radial_wind_speed`` (time, gate), m/s, positive away; ``cnr``, dB;
     ``radial_wind_speed_status``; ``azimuth``, clockwise from north, and ``elevation``, degrees; ``range``, m, over the
     gates or over rays and gates (slant and vertical rays of one scan have different ranges); ``time``, counted from
-    the file's own epoch or from the text in ``time_reference``; ``ray_accumulation_time``, ms.
+    the file's own epoch or from the text in ``time_reference``; ``ray_accumulation_time``, ms; ``measurement_height``
+    of the gates, m above the lidar, against which ``range`` is checked: some files have its rows in another order than
+    the rays.
 
     References
     ----------
@@ -107,51 +101,29 @@ def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
     names = own_names(NAMES, file_format)
     velocity = names["radial_velocity"]
     parts: list[Rays] = []
-    with open_groups(file) as groups:
-        sweeps = [group for group in groups.values() if velocity in group.variables]
-        if velocity in groups["/"].variables:
-            sweeps = sweeps[:1]
-        for sweep in sweeps:
-            parts.append(
-                rays_from(
-                    sweep,
-                    file,
-                    file_format,
-                    kind="windcube",
-                    names=names,
-                    time=_times(sweep, names["time"], file),
-                    accumulation_time=_accumulation_time(sweep),
-                    first_row=1 + sum(len(part.time) for part in parts),
-                )
+    groups = glance(file, names.values())
+    sweeps = [group for group in groups.values() if velocity in group.variables]
+    if velocity in groups["/"].variables:
+        sweeps = sweeps[:1]
+    for sweep in sweeps:
+        parts.append(
+            rays_from(
+                sweep,
+                file,
+                file_format,
+                kind="windcube",
+                names=names,
+                time=times_of(sweep, names["time"], file),
+                accumulation_time=accumulation_time_of(sweep),
+                first_row=1 + sum(len(part.time) for part in parts),
             )
+        )
     if not parts:
         raise InputError(
             f"File {str(file)!r} has no variable {velocity!r}, in its root or in a group: it is not a WindCube's "
             "NetCDF file, or of a scan that was broken off; leave it out, or give another file_format."
         )
     return join_rays(parts)
-
-
-def _times(sweep: xr.Dataset, name: str, file: Path) -> NDArray[np.datetime64]:
-    """Return the times of the rays; older files give the epoch as text in a variable of its own."""
-    if name not in sweep.variables:
-        return np.zeros(0, dtype="datetime64[ns]")  # rays_from refuses the file
-    variable = sweep.variables[name]
-    units = str(variable.attrs.get("units", ""))
-    if _REFERENCE in sweep.variables and (_REFERENCE in units or not units):
-        units = f"seconds since {text_of(sweep.variables[_REFERENCE])}"
-    return decode_times(variable, units, name, file)
-
-
-def _accumulation_time(sweep: xr.Dataset) -> FloatArray | None:
-    """Return how long rays took, s; None if the file does not say, or not in a unit that is known."""
-    if "ray_accumulation_time" not in sweep.variables:
-        return None
-    variable = sweep.variables["ray_accumulation_time"]
-    factor = _SECONDS.get(str(variable.attrs.get("units", "ms")).strip().lower())
-    if factor is None or not np.issubdtype(variable.dtype, np.number):
-        return None
-    return factor * np.asarray(variable.values, dtype=np.float64)
 
 
 READER = Reader(

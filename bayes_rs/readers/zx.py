@@ -159,8 +159,8 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     table = open_table(file, file_format, skip=skip)
     if any(_AT_HEIGHT.fullmatch(heading) for heading in table.headings):
         raise InputError(
-            f"File {str(file)!r} holds ZX's statistics of averaging periods, not line-of-sight velocities: read it "
-            "with read_statistics; variances of beams need the 50 Hz data."
+            f"File {str(file)!r} holds ZX's statistics of averaging periods, or the winds that it fits to each turn, "
+            "not line-of-sight velocities: read it with read_statistics; variances of beams need the 50 Hz data."
         )
     if any(_SEGMENT.fullmatch(heading) for heading in table.headings):
         raise InputError(
@@ -185,6 +185,9 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
         if name != "time":
             value[name], is_invalid = numbers(column[name], file_format)
             invalid = invalid | is_invalid
+    first_row = column["time"].first_row
+    time = np.where(table.bad.mask(first_row, len(time)), np.datetime64("NaT", "ns"), time)
+    table.bad.check(len(time))
     turn = 1.0 if file_format.phase_turns == "up" else -1.0
     measured = np.rad2deg(value["phase"]) if _RADIAN.fullmatch(heading["phase"]) else value["phase"]
     phase = np.deg2rad(file_format.phase_zero_deg + turn * measured)
@@ -207,6 +210,7 @@ def read_zx(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             "rows_dropped": 0,
             "rows_without_time": 0,
             "rows_without_beam": 0,
+            **table.bad.counts(first_row, len(time)),
         },
     )
     return match_rays(rays, scan, angle_tolerance_deg=file_format.angle_tolerance_deg)
@@ -268,7 +272,7 @@ def read_statistics(
     >>> row = "1;13.12.2016 00:10:00;5,464;0,1482"
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "Wind10_317.csv"
-    ...     _ = file.write_text(chr(10).join([first, headings, row]))
+    ...     _ = file.write_text(chr(10).join([first, headings, row, ""]))
     ...     statistics = read_statistics(file)
     >>> statistics["wind_speed"].item(), str(statistics["time"].values[0])[:16]
     (5.464, '2016-12-12T23:10')

@@ -3,6 +3,7 @@ from .flags import BEAM_FLAGS as BEAM_FLAGS
 from .flags import RECORD_FLAGS as RECORD_FLAGS
 from .flags import REMARK_FLAGS as REMARK_FLAGS
 from .making import make_records as make_records
+from .ranges import at_range as at_range
 from .record_files import open_record_files as open_record_files
 from .record_files import open_records as open_records
 from .record_options import RecordOptions as RecordOptions

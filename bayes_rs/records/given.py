@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.records.layout import check_layout
 
 
-def check_are_records(records: xr.Dataset) -> None:
-    """Check that a Dataset holds records.
+def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
+    """Check that a Dataset holds records; also such at several ranges, if `ranges` says so.
 
     Raises
     ------
@@ -21,7 +23,7 @@ def check_are_records(records: xr.Dataset) -> None:
         raise InputError(f"Invalid records {what}: give those of make_records(series, scan) or open_records(file).")
     if "radial_velocity" in records:
         raise InputError("Invalid records: they are samples; give make_records(samples, scan).")
-    check_layout(records, "variance", "beam")
+    check_layout(records, "variance", "beam", ranges=ranges)
     if records.sizes.get("record") == 0:
         raise InputError("There is no record: the series is shorter than one averaging period.")
     if records.sizes.get("beam") == 0:
@@ -30,8 +32,8 @@ def check_are_records(records: xr.Dataset) -> None:
         )
 
 
-def check_is_series(series: xr.Dataset) -> None:
-    """Check that a Dataset holds samples.
+def check_is_series(series: xr.Dataset, *, ranges: bool = False) -> None:
+    """Check that a Dataset holds samples; also such of several ranges, if `ranges` says so.
 
     Raises
     ------
@@ -44,3 +46,9 @@ def check_is_series(series: xr.Dataset) -> None:
     for name in ("radial_velocity", "time", "beam"):
         if name not in series.variables or series[name].dims != ("sample",):
             raise InputError(f"Invalid series: it needs {name!r} over the dimension 'sample'; make it with read.")
+    if "range" in series.variables and not ranges:
+        known = np.unique(series["range"].values)
+        raise InputError(
+            f"The series is of {len(known)} ranges ({', '.join(short(known[:12]))} m), and one of one is wanted here: "
+            f"read it with the scan at one, as NAME@focus_distance={known[0]:g} (--focus-distance {known[0]:g})."
+        )

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import xarray as xr
 from pydantic import Field, Json, model_validator
 
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
 
 _RECORD = ("record",)
@@ -15,10 +17,15 @@ _VARIANCE, _SPEED, _ANGLE = "m2 s-2", "m s-1", "degree"
 _ANY = float("inf")  # what is too large is not believed, or has a message of its own, and need not be refused
 REPORT = "records_report"
 """Attribute of records that only they have."""
+OF_RANGES = "of_ranges"
+"""Attribute of records at several ranges: in JSON, the attributes that each range has for itself."""
 _ADVICE = "make them with bayes_rs.make_records"
 
 RECORDS: dict[str, Entry] = {
     "beam": Entry(("beam",), "whole"),
+    "range": Entry(("range",), unit="m", positive=True),
+    "height": Entry((), unit="m"),
+    "focus_distance": Entry(("beam",), unit="m", positive=True),
     "time": Entry(_RECORD, "time"),
     "variance": Entry(_BOTH, unit=_VARIANCE, most=_ANY),
     "mean": Entry(_BOTH, unit=_SPEED, most=_ANY),
@@ -79,6 +86,13 @@ class _ReadFile(Open):
     rows_invalid_value: Count = 0
     rows_dropped: Count = 0
     rows_unset_clock: Count = 0
+    rows_of_other_ranges: Count = 0
+    rows_without_range: Count = 0
+    rows_bad: Count = 0
+    rows_cut: Count = 0
+    first_bad_row: str = ""
+    ranges: list[Finite] = Field(default_factory=list)
+    ranges_used: list[Finite] = Field(default_factory=list)
     velocities_impossible: Count = 0
     samples_out_of_order: Count = 0
     impossible_values: dict[str, Count] = Field(default_factory=dict)
@@ -192,6 +206,15 @@ class _LengthTold(_Told):
     n_told: Count = 0
 
 
+class _OfRange(Open):
+    scan_key: str = ""
+    beams_absent: Json[list[int]] = Field(default_factory=list)
+    records_report: Json[RecordsReport] | None = None
+    not_believed: Json[dict[str, _NotBelieved]] | None = None
+    length_scale_report: Json[_LengthTold] | None = None
+    instrument_noise_report: Json[_Told] | None = None
+
+
 class RecordsAttributes(Open):
     """Attributes of records, where they are there."""
 
@@ -206,9 +229,12 @@ class RecordsAttributes(Open):
     not_believed: Json[dict[str, _NotBelieved]] | None = None
     length_scale_report: Json[_LengthTold] | None = None
     instrument_noise_report: Json[_Told] | None = None
+    of_ranges: Json[list[_OfRange]] | None = None
 
 
-def check_layout(records: xr.Dataset, *needs: str, what: str = "The records", advice: str = _ADVICE) -> None:
+def check_layout(
+    records: xr.Dataset, *needs: str, what: str = "The records", advice: str = _ADVICE, ranges: bool = False
+) -> None:
     """Check that records are laid out as `make_records` lays them out, and hold what is needed.
 
     Parameters
@@ -219,17 +245,26 @@ def check_layout(records: xr.Dataset, *needs: str, what: str = "The records", ad
         Variables that must be there.
     what, advice : str
         What they are, and what to do, for messages.
+    ranges : bool
+        Whether they may be at several ranges.
 
     Raises
     ------
     InputError
         For the first entry that is not as it should be.
     """
+    if "range" in records.dims and not ranges:
+        known = ", ".join(short(records["range"].values[:12])) if "range" in records.coords else "unknown"
+        raise InputError(
+            f"{what} are at {records.sizes['range']} ranges ({known} m), and those of one are wanted here: take one "
+            f"with bayes_rs.records.at_range(records, distance), or read one (--focus-distance DISTANCE)."
+        )
     check_dataset(
         records,
         RECORDS,
         what=what,
         needs=needs,
         attributes=RecordsAttributes,
+        optional_dim="range",
         advice=advice,
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.filtering import Filtered, apply_filters
@@ -21,15 +23,20 @@ from bayes_rs.quality.groups import group_moments
 from bayes_rs.quality.octaves import octave_count, record_octaves
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
+from bayes_rs.readers.ranged_series import scan_of_series, stacked
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.belief import impossible_in, most_variance
 from bayes_rs.records.block_statistics import block_statistics
 from bayes_rs.records.checks import blades_in, check_records, in_wind_sectors
 from bayes_rs.records.counts import flags_report, samples_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, flag_attributes
+from bayes_rs.records.given import check_is_series
+from bayes_rs.records.grid import on_grid
+from bayes_rs.records.layout import REPORT
+from bayes_rs.records.ranges import stack_ranges
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.record_samples import sort_samples
-from bayes_rs.records.windows import is_touched
+from bayes_rs.records.windows import is_touched, record_windows
 
 _FROM_SERIES = ("source_files", "read_report", "velocity_limit")
 """Attributes that records have from their series."""
@@ -128,6 +135,10 @@ def make_records(
     (array([[1.]]), array([10.]))
     """
     of_scan, chosen = as_scan(scan), record_options(options)
+    check_is_series(series, ranges=True)
+    at_ranges = scan_of_series(series, of_scan)
+    if isinstance(at_ranges, RangedScan):
+        return _at_ranges(stacked(series, at_ranges), at_ranges, quality, options)
     rules = _rules(quality, series, of_scan)
     came = sort_samples(series, of_scan, rules.needed_columns())
     samples, windows = came.in_records(chosen.window)
@@ -158,6 +169,104 @@ def make_records(
             "records_report": json.dumps(report),
         }
     )
+
+
+def _at_ranges(
+    series: xr.Dataset, scan: RangedScan, quality: QualityRules | None, options: Mapping[str, Any]
+) -> xr.Dataset:
+    """Make the records of each range, all of the same windows and beams."""
+    if series.sizes["sample"] == 0:
+        raise InputError("Invalid series: it holds no sample; give files with samples.")
+    index, beam = scan.split(series["beam"].values)
+    made = {}
+    for place in np.unique(index).tolist():
+        rows = np.flatnonzero(index == place)
+        own = series.isel(sample=rows).assign_coords(beam=("sample", beam[rows]))
+        made[place] = make_records(own, scan.at(place), quality=quality, **options)
+    columns = {str(name): values.values for name, values in series.data_vars.items() if values.dims == ("sample",)}
+    no_sample = partial(
+        empty_record, columns, series.attrs, int(scan.of_one.beam[0]), scan.at(0), quality=quality, **options
+    )
+    return stack_alike(made, scan, record_options(options).window, no_sample)
+
+
+def empty_record(
+    columns: Mapping[str, NDArray[Any]],
+    attributes: Mapping[str, Any],
+    beam: int,
+    scan: Scan,
+    *,
+    quality: QualityRules | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Return what `make_records` says of a record and beam without a sample: the second of three, of one beam.
+
+    Parameters
+    ----------
+    columns, attributes : mapping
+        Variables over the samples, and attributes, of a series.
+    beam : int
+        A beam of it.
+    scan, quality, options
+        As for `make_records`.
+    """
+    window = record_options(options).window
+    series = xr.Dataset(
+        {name: ("sample", np.zeros(2, dtype=values.dtype)) for name, values in columns.items()},
+        coords={
+            "time": ("sample", np.array([0, 2 * window]).astype("datetime64[ns]")),
+            "beam": ("sample", np.full(2, beam, dtype=np.int64)),
+        },
+        attrs=dict(attributes),
+    )
+    return make_records(series, scan, quality=quality, **options).isel(record=1)
+
+
+def windows_of(blocks: Iterable[xr.Dataset], window: int, n_beam: int) -> NDArray[np.int64]:
+    """Return the numbers of the windows, since 1970, from the first record of some blocks to the last."""
+    number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
+    return record_windows(np.concatenate(number), window, n_beam)
+
+
+def stack_alike(
+    made: Mapping[int, xr.Dataset], scan: RangedScan, window: int, empty: Callable[[], xr.Dataset]
+) -> xr.Dataset:
+    """Return records of several ranges as one dataset: all have the records, and the beams, that any of them has.
+
+    Parameters
+    ----------
+    made : mapping of int to Dataset
+        Records by the place of their range; ranges without a sample are not in it.
+    scan : RangedScan
+        The scan at these ranges.
+    window : int
+        Length of a record, ns.
+    empty : callable
+        Returns what a record and beam without a sample are, as `empty_record` does.
+    """
+    base = scan.of_one
+    present = np.unique(np.concatenate([part["beam"].values for part in made.values()]))
+    beams = base.beam[np.isin(base.beam, present)]
+    windows = windows_of(made.values(), window, len(beams))
+    start = (windows * window).astype("datetime64[ns]")
+    absent = json.dumps([number for number in base.beam.tolist() if number not in beams])
+    first = next(iter(made.values()))
+    parts = []
+    for place in range(scan.n_range):
+        own = made.get(place)
+        if own is not None and np.array_equal(own["time"].values, start) and np.array_equal(own["beam"].values, beams):
+            parts.append(own)
+            continue
+        blocks = [first.isel(record=[], beam=[]) if own is None else own]
+        part = on_grid(blocks, empty(), windows=windows, beams=beams, window=window)
+        if own is None:
+            part.attrs = {name: value for name, value in part.attrs.items() if name != REPORT}
+        else:
+            report = json.loads(own.attrs[REPORT])
+            counted = flags_report(part, beams, scan.at(place), window)
+            part.attrs[REPORT] = json.dumps({**report, **counted})
+        parts.append(part.assign_attrs(scan_key=scan.at(place).key, beams_absent=absent))
+    return stack_ranges(parts, scan)
 
 
 def _rules(quality: QualityRules | None, series: xr.Dataset, scan: Scan) -> QualityRules:

@@ -45,8 +45,9 @@ def _facts(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
     facts: dict[str, Any] = {}
     if "impossible_values" in known or "impossible_values" in entry:
         facts["impossible_values"] = add_told(known.get("impossible_values", {}), entry.get("impossible_values", {}))
-    if "first_unset_clock" in known:
-        facts["first_unset_clock"] = known["first_unset_clock"]
+    for first in ("first_unset_clock", "first_bad_row"):
+        if first in known:
+            facts[first] = known[first]
     return facts
 
 

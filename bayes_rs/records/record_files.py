@@ -10,11 +10,13 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
-from bayes_rs.records.layout import REPORT, check_layout
+from bayes_rs.records.layout import OF_RANGES, REPORT, check_layout
+from bayes_rs.records.ranges import DISTANCE, each_range, has_ranges, scan_of_records
 
 
 def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None:
@@ -45,13 +47,15 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
         dataset = load_netcdf(file)
     except InputError:
         return None  # the reader of radial velocities says what is wrong with it
-    if dataset.get("variance", xr.DataArray()).dims != ("record", "beam") and REPORT not in dataset.attrs:
+    of_records = dataset.get("variance", xr.DataArray()).dims[-2:] == ("record", "beam")
+    if not of_records and not {REPORT, OF_RANGES} & set(dataset.attrs):
         return None
     check_layout(
         dataset,
         *("variance", "beam", "flag", "wind_speed", "yaw"),
         what=f"The records in {str(file)!r}",
         advice="make them anew with bayes-rs records, or correct the file",
+        ranges=True,
     )
     scan = as_scan(scan)
     key = dataset.attrs.get("scan_key", scan.key)
@@ -60,6 +64,11 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
             f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
             f"{scan.name!r}: name that scan, with the same options, or make the records anew with this one."
         )
+    if has_ranges(dataset):
+        at_ranges = scan_of_records(dataset, scan)
+        if not isinstance(at_ranges, RangedScan):
+            raise InputError(f"The records in {str(file)!r} do not say their {DISTANCE}: make them anew.")
+        return each_range(dataset, at_ranges, lambda part, _: believed(part))
     return believed(dataset)
 
 
@@ -94,6 +103,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
         for what, one, other in (
             ("beams", first["beam"].values.tolist(), records["beam"].values.tolist()),
             ("duration", first.attrs.get("duration"), records.attrs.get("duration")),
+            ("ranges", _ranges_of(first), _ranges_of(records)),
         ):
             if one != other:
                 raise InputError(
@@ -112,7 +122,10 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
         combine_attrs="override",
     )
     joined = joined.drop_encoding()  # the first file's unit of time need not suit the others
-    joined.attrs.pop("records_report", None)  # it is that of the first file
+    joined.attrs.pop(REPORT, None)  # it is that of the first file
+    if OF_RANGES in joined.attrs:
+        of_ranges = [{"scan_key": of["scan_key"]} for of in json.loads(joined.attrs[OF_RANGES])]
+        joined.attrs[OF_RANGES] = json.dumps(of_ranges)
     joined.attrs.pop(NOT_BELIEVED, None)
     told = [json.loads(records.attrs[NOT_BELIEVED]) for records in found if NOT_BELIEVED in records.attrs]
     if told:
@@ -125,3 +138,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
                 f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap."
             )
     return joined
+
+
+def _ranges_of(records: xr.Dataset) -> list[float]:
+    return records["range"].values.tolist() if has_ranges(records) else []

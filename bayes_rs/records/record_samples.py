@@ -13,7 +13,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.quality.samples import BeamSamples, IntArray
+from bayes_rs.quality.samples import BeamSamples, IntArray, distinct, is_sorted
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.windows import record_windows
 
@@ -92,7 +92,7 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
     if not np.issubdtype(series["time"].dtype, np.datetime64) or bool(np.isnat(series["time"].values).any()):
         raise InputError("Invalid series: every time must be a UTC time of type datetime64; make it with read.")
     number = np.asarray(series["beam"].values)
-    present = np.unique(number)
+    present = distinct(number)
     for beam in present:
         if beam not in scan.beam:
             raise InputError(
@@ -104,11 +104,7 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
     beam = by_number[np.searchsorted(numbers, number, sorter=by_number)]
     time = series["time"].values.astype("datetime64[ns]").astype(np.int64)
     velocity = series["radial_velocity"].values.astype(np.float64)
-    latest = pd.Series(time).groupby(beam).cummax().to_numpy()
-    order = np.lexsort((np.isnan(velocity), time, beam))
-    repeated = np.zeros(len(order), dtype=bool)
-    repeated[1:] = (np.diff(time[order]) == 0) & (np.diff(beam[order]) == 0)
-    order = order[~repeated]
+    order, repeated = _ordered(time, beam, velocity)
     wanted = dict.fromkeys([*needed, *(name for name in OPTIONAL_COLUMNS if name in series.variables)])
     return SortedSamples(
         time=time[order],
@@ -116,10 +112,31 @@ def sort_samples(series: xr.Dataset, scan: Scan, needed: Mapping[str, str]) -> S
         velocity=velocity[order],
         columns={name: _column(series, name, needed.get(name, ""))[order] for name in wanted},
         numbers=numbers,
-        out_of_order=int((time < latest).sum()),
-        duplicates=int(repeated.sum()),
+        out_of_order=_out_of_order(time, beam),
+        duplicates=repeated,
         velocity_limit=float(series.attrs.get("velocity_limit", VELOCITY_LIMIT)),
     )
+
+
+def _ordered(time: IntArray, beam: IntArray, velocity: FloatArray) -> tuple[IntArray, int]:
+    """Return the order of beams and, of each, of time, without repeated samples; and how many of these there are."""
+    if is_sorted(time) and len(time) and beam.max() < np.iinfo(np.int16).max:
+        order = np.argsort(beam.astype(np.int16), kind="stable")
+        repeated = (np.diff(time[order]) == 0) & (np.diff(beam[order]) == 0)
+        if not repeated.any():
+            return order, 0
+    order = np.lexsort((np.isnan(velocity), time, beam))
+    repeated = np.zeros(len(order), dtype=bool)
+    repeated[1:] = (np.diff(time[order]) == 0) & (np.diff(beam[order]) == 0)
+    return order[~repeated], int(repeated.sum())
+
+
+def _out_of_order(time: IntArray, beam: IntArray) -> int:
+    """Count the samples earlier than one of the same beam before them."""
+    if is_sorted(time):
+        return 0
+    latest = pd.Series(time).groupby(beam).cummax().to_numpy()
+    return int((time < latest).sum())
 
 
 def _column(series: xr.Dataset, name: str, option: str) -> FloatArray:

@@ -10,8 +10,10 @@ import lzma
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,8 +22,10 @@ import pyarrow as pa
 import xarray as xr
 from pydantic import ConfigDict, Field
 
+from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.layouts import Count, Entry, Open, check_dataset, read_json
@@ -29,12 +33,15 @@ from bayes_rs.output import write_netcdf
 from bayes_rs.progress import progress_counter
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
+from bayes_rs.readers.ahead import read_ahead
 from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import FoundFiles, find_files
+from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.readers.one_file import SUFFIXES
-from bayes_rs.readers.streaming import stream
-from bayes_rs.records.layout import REPORT, check_layout
+from bayes_rs.readers.streaming import series_of_read, stream
+from bayes_rs.records.file_queue import FileQueue, NotInOrderError, Waiting
+from bayes_rs.records.layout import OF_RANGES, REPORT, check_layout
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
@@ -44,11 +51,15 @@ CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
 SAVE_SECONDS = 20.0
 """Reading that is lost at most, beside that of one file, when a run is interrupted."""
+_SAVE_RATIO = 20.0
+"""How much longer reading goes on than saving took."""
 _SAMPLE = ("sample",)
 _AGAIN = "the files are read again"
 _OF_PART = ("variance", "mean", "count", "flag", "wind_speed", "yaw", "record_flag", "time", "beam")
 """Variables that every part of the records has."""
 _PEEK = 1000
+_LOOK_AHEAD = 512
+"""Files that are looked at before their turn comes."""
 _HEAD = 65_536  # bytes
 _STATE = "records/state.npz"
 _TRIES = 2
@@ -100,6 +111,8 @@ class _Progress:
     files: Mapping[str, list[Any]] = field(default_factory=dict)
     bad: Mapping[str, str] = field(default_factory=dict)
     read: Mapping[str, Any] = field(default_factory=dict)
+    distance: list[list[float]] = field(default_factory=list)
+    """Distance along each beam at each of several ranges; nothing of a scan at its own."""
 
 
 def store_records(
@@ -111,6 +124,7 @@ def store_records(
     quality: QualityRules | None = None,
     chunk_rows: int = CHUNK_ROWS,
     lateness: float | None = None,
+    workers: int = 1,
     progress: bool | None = None,
     say: Callable[[str], None] = _LOG.warning,
     **options: Any,
@@ -134,6 +148,9 @@ def store_records(
         Rows that are read at a time; memory, not the result, depends on it.
     lateness : float, optional
         As for `stream_records`; files may also overlap by so much, s.
+    workers : int
+        Processes that read files, if there are many in a format that is read whole (NetCDF and other files of rays).
+        The records do not depend on it.
     progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
     say : callable
@@ -161,15 +178,23 @@ def store_records(
     not fit, all files are read again.
     """
     found = find_files(files, SUFFIXES)
+    reading = reading or FileOptions()
+    of_scan = scan_at_ranges(found.paths, as_scan(scan), reading)
     asked = _Asked(
-        as_scan(scan),
-        reading or FileOptions(),
+        of_scan,
+        reading,
         {"quality": quality, **options},
         record_options(options),
         lateness,
         chunk_rows,
+        check_count(workers, what="workers"),
     )
     done = _load(folder, say)
+    distance = of_scan.distance.tolist() if isinstance(of_scan, RangedScan) else []
+    if done.files and done.distance != distance:
+        say("The files are read at other ranges than by an earlier run: all are read again.")
+        done = _Progress()
+    done = replace(done, distance=distance)
     for name in set(folder.names("records/part-")) - {_part(index) for index in range(done.n_part)}:
         folder.remove(name)  # what no state counts: it is made again
     _check_unchanged(found.paths, done)
@@ -181,7 +206,7 @@ def store_records(
             break
         except InputError:
             say(f"A part of the records in {str(folder.path)!r} was damaged meanwhile: all files are read again.")
-        done, n_resumed = _Progress(), 0
+        done, n_resumed = _Progress(distance=distance), 0
     else:
         raise InputError(
             f"The records in {str(folder.path)!r} do not stay as they were written: check the disk, or give another "
@@ -204,6 +229,13 @@ class _Asked:
     records: RecordOptions
     lateness: float | None
     chunk_rows: int
+    workers: int = 1
+
+    @property
+    def wait(self) -> np.timedelta64:
+        """How far files may overlap and still follow each other."""
+        nanoseconds = self.records.window if self.lateness is None else round(float(self.lateness) * 1e9)
+        return np.timedelta64(nanoseconds, "ns")
 
     @property
     def of_files(self) -> dict[str, Any]:
@@ -242,7 +274,7 @@ def _read_report(found: FoundFiles, scan: Scan, done: _Progress) -> dict[str, An
     """Return the report as `read` gives it of all files together."""
     return whole_report(
         done.read,
-        scan,
+        scan.of_one if isinstance(scan, RangedScan) else scan,
         order=[_name(path) for path in found.paths],
         skipped=[
             {"name": path.name, "reason": done.bad[_name(path)]} for path in found.paths if _name(path) in done.bad
@@ -254,57 +286,121 @@ def _read_report(found: FoundFiles, scan: Scan, done: _Progress) -> dict[str, An
 def _read_all(
     left: Sequence[Path], asked: _Asked, folder: ResultFolder, done: _Progress, progress: bool | None
 ) -> _Progress:
-    """Read the files that are left, and save what comes of it every now and then."""
-    wait = np.timedelta64(asked.records.window if asked.lateness is None else round(float(asked.lateness) * 1e9), "ns")
-    done, queue = _by_first_time(left, asked, done)
+    """Read the files that are left, and save what comes of it every now and then.
+
+    They are taken for in the order of their names. If one begins before others end that had their turn, all are looked
+    at first.
+    """
+    try:
+        return _read_in_turn(left, asked, folder, done, progress, most=_LOOK_AHEAD)
+    except NotInOrderError:
+        for name in set(folder.names("records/part-")) - {_part(index) for index in range(done.n_part)}:
+            folder.remove(name)
+        done = _save(folder, done, [], asked)
+        return _read_in_turn(left, asked, folder, done, progress, most=len(left) + 1)
+
+
+def _read_in_turn(
+    left: Sequence[Path], asked: _Asked, folder: ResultFolder, done: _Progress, progress: bool | None, *, most: int
+) -> _Progress:
     silent = None if progress is None else not progress
     blocks: list[xr.Dataset] = []
     n_byte = {path: path.stat().st_size for path in left}
-    saved = time.monotonic()
-    with progress_counter(sum(n_byte.values()), "reading", "B", scale=True, disable=silent) as bar:
-        while queue:
-            group = [queue.pop(0)[1]]
+    saved, wait = time.monotonic(), SAVE_SECONDS
+    alone = 0  # files that did not go together with others
+    reading = FileOptions(**asked.of_files)
+    with (
+        progress_counter(sum(n_byte.values()), "reading", "B", scale=True, disable=silent) as bar,
+        closing(read_ahead(left, asked.scan, reading, note=_key, workers=asked.workers)) as read,
+    ):
+        queue = FileQueue(read, partial(_first_of, asked=asked), asked.wait, most, asked.chunk_rows)
+        while True:
+            group = queue.take(*([1] if alone else []))
+            done = _with_bad(done, queue, asked, bar, n_byte)
+            if not group:
+                break
             while group:
-                after = queue[0][0] + wait if queue else None
-                keys = {path: _key(path) for path in group}  # before they are read: they may grow
+                following = queue.next_first()
+                done = _with_bad(done, queue, asked, bar, n_byte)
+                keys = {one.path: one.key for one in group}
                 try:
-                    read = _read(group, asked, done, after)
+                    added = _read(group, asked, done, None if following is None else following + asked.wait)
                 except _UNREADABLE as error:
-                    bad = _bad_one(group, error, asked)
+                    if len(group) > 1 and all(one.samples is not None for one in group):
+                        queue.put_back(group)
+                        alone = len(group)
+                        break
+                    bad = _bad_one([one.path for one in group], error, asked)
                     done = _with(done, {bad: keys[bad]}, bad={_name(bad): _in_words(error)})
                     bar.update(n_byte[bad])
-                    group.remove(bad)
+                    group = [one for one in group if one.path != bad]
                     continue
-                if isinstance(read, np.datetime64):  # the next files begin before these end: all are read again
-                    group += [path for first, path in queue if first <= read]
-                    queue = [(first, path) for first, path in queue if first > read]
+                if isinstance(added, np.datetime64):  # the next files begin before these end
+                    group += queue.take_until(added)
+                    done = _with_bad(done, queue, asked, bar, n_byte)
                     continue
-                done, more = read
+                done, more, latest = added
+                queue.used(latest)
+                alone = max(alone - len(group), 0)
                 done = _with(done, keys)
                 blocks += more
-                bar.update(sum(n_byte[path] for path in group))
+                bar.update(sum(n_byte[one.path] for one in group))
                 break
-            if time.monotonic() - saved >= SAVE_SECONDS:
+            if time.monotonic() - saved >= wait:
+                began = time.monotonic()
                 done, blocks = _save(folder, done, blocks, asked), []
                 saved = time.monotonic()
+                # the state of a million files takes its time to write
+                wait = max(SAVE_SECONDS, _SAVE_RATIO * (saved - began)) if saved - began > 1.0 else SAVE_SECONDS
     return _save(folder, done, blocks, asked)
 
 
+def _with_bad(done: _Progress, queue: FileQueue, asked: _Asked, bar: Any, n_byte: Mapping[Path, int]) -> _Progress:
+    """Note the files of the queue that cannot be used, if they are to be skipped."""
+    while queue.bad:
+        path, key, error = queue.bad.pop(0)
+        bad = _bad_one([path], error, asked)
+        done = _with(done, {bad: key}, bad={_name(bad): _in_words(error)})
+        bar.update(n_byte[bad])
+    return done
+
+
+def _first_of(path: Path, asked: _Asked) -> np.datetime64 | Exception:
+    """Return the first time of a file that is read in pieces; or what is wrong with it."""
+    try:
+        chunk = next(stream(path, asked.scan, chunk_rows=_PEEK, **asked.of_files))
+    except _UNREADABLE as error:
+        return error
+    return np.datetime64(chunk["time"].values.min())
+
+
 def _read(
-    group: Sequence[Path], asked: _Asked, done: _Progress, after: np.datetime64 | None
-) -> tuple[_Progress, list[xr.Dataset]] | np.datetime64:
-    """Add files to the stream; or, if they reach beyond `after`, return how far, and nothing is added."""
+    group: Sequence[Waiting], asked: _Asked, done: _Progress, after: np.datetime64 | None
+) -> tuple[_Progress, list[xr.Dataset], np.datetime64] | np.datetime64:
+    """Add files to the stream; or, if they reach beyond `after`, return how far, and nothing is added.
+
+    What was added comes with the latest time in it.
+    """
     state, read, blocks = done.state, done.read, []
-    names = {path.name: _name(path) for path in reversed(group)}
-    for chunk in stream(group, asked.scan, chunk_rows=asked.chunk_rows, **asked.of_files):
-        latest = chunk["time"].values.max()
+    names = {one.path.name: _name(one.path) for one in reversed(group)}
+    reached = max(one.first for one in group)
+    for chunk in _chunks(group, asked):
+        latest = np.datetime64(chunk["time"].values.max())
         if after is not None and latest > after:
-            return np.datetime64(latest)
+            return latest
+        reached = max(reached, latest)
         if "read_report" in chunk.attrs:
             read = add_report(read, json.loads(chunk.attrs["read_report"]), names)
         state, block = add_chunk(state, chunk, asked.scan, lateness=asked.lateness, **asked.making)
         blocks += [] if block is None else [block]
-    return replace(done, state=state, read=read), blocks
+    return replace(done, state=state, read=read), blocks, reached
+
+
+def _chunks(group: Sequence[Waiting], asked: _Asked) -> Iterator[xr.Dataset]:
+    parts = [one.samples for one in group if one.samples is not None]
+    if len(parts) == len(group):
+        return series_of_read(parts, asked.scan, FileOptions(**asked.of_files), chunk_rows=asked.chunk_rows)
+    return stream([one.path for one in group], asked.scan, chunk_rows=asked.chunk_rows, **asked.of_files)
 
 
 def _bad_one(group: Sequence[Path], error: BaseException, asked: _Asked) -> Path:
@@ -326,22 +422,6 @@ def _bad_one(group: Sequence[Path], error: BaseException, asked: _Asked) -> Path
         except _UNREADABLE:
             return path
     return group[-1]  # each alone can be read: they do not go together
-
-
-def _by_first_time(
-    paths: Sequence[Path], asked: _Asked, done: _Progress
-) -> tuple[_Progress, list[tuple[np.datetime64, Path]]]:
-    firsts = []
-    for path in paths:
-        key = _key(path)
-        try:
-            chunk = next(stream(path, asked.scan, chunk_rows=_PEEK, **asked.of_files))
-        except _UNREADABLE as error:
-            bad = _bad_one([path], error, asked)
-            done = _with(done, {bad: key}, bad={_name(bad): _in_words(error)})
-        else:
-            firsts.append((chunk["time"].values.min(), path))
-    return done, sorted(firsts, key=lambda pair: pair[0])
 
 
 def _in_words(error: BaseException) -> str:
@@ -396,8 +476,8 @@ def _part(index: int) -> str:
 def _open(folder: ResultFolder, index: int) -> xr.Dataset:
     file = folder.checked(_part(index))
     part, what = load_netcdf(file).drop_encoding(), f"The records in {str(file)!r}"
-    check_layout(part, *_OF_PART, what=what)
-    if REPORT not in part.attrs:
+    check_layout(part, *_OF_PART, what=what, ranges=True)
+    if REPORT not in part.attrs and OF_RANGES not in part.attrs:
         raise InputError(f"{what} have no {REPORT}.")
     return part
 
@@ -414,9 +494,9 @@ def _save(folder: ResultFolder, done: _Progress, blocks: list[xr.Dataset], asked
     arrays = ("time", "beam", "columns")
     state = {name: getattr(done.state, name) for name in StreamState.__dataclass_fields__ if name not in arrays}
     meta: dict[str, Any] = {"state": {**state, "latest_of_beam": list(done.state.latest_of_beam.items())}}
-    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read")})
+    meta.update({name: getattr(done, name) for name in ("n_part", "files", "bad", "read", "distance")})
     columns = {f"column {name}": values for name, values in done.state.columns.items()}
-    text = np.array(json.dumps(meta, default=lambda value: value.tolist()))
+    text = np.array(json.dumps(meta, default=lambda value: value.tolist()).encode("ascii"))  # as text, four times that
     entries: dict[str, Any] = {"meta": text, "time": done.state.time, "beam": done.state.beam, **columns}
     folder.write(_STATE, lambda file: np.savez(file, **entries))
     return done
@@ -449,6 +529,7 @@ class _Meta(Open):
     n_part: Count
     files: dict[str, Annotated[list[int | str], Field(min_length=3, max_length=3)]]
     bad: dict[str, str]
+    distance: list[list[float]]
     read: _WasRead | Annotated[dict[str, Any], Field(max_length=0)]
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -471,7 +552,9 @@ def _load(folder: ResultFolder, say: Callable[[str], None]) -> _Progress:
 def _progress(content: bytes) -> _Progress:
     """Return what a state file holds."""
     with np.load(io.BytesIO(content)) as found:
-        meta = read_json(_Meta, str(found["meta"]), what=f"File {_STATE}", advice=_AGAIN)
+        text = found["meta"]
+        plain = text.item().decode("ascii", "replace") if text.dtype.kind == "S" and text.ndim == 0 else str(text)
+        meta = read_json(_Meta, plain, what=f"File {_STATE}", advice=_AGAIN)
         columns = {name.removeprefix("column "): found[name] for name in found if name.startswith("column ")}
         beam_time = {"time": found["time"], "beam": found["beam"]}
     layout = {"time": Entry(_SAMPLE, "whole"), "beam": Entry(_SAMPLE, "whole")}

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayes_rs.geometry.ranged_scan import short
+from bayes_rs.readers.unnamed_ranges import listed_ranges
 from bayes_rs.records.belief import doubt_lines
+from bayes_rs.records.layout import OF_RANGES, REPORT
+from bayes_rs.records.ranges import split_ranges
 from bayes_rs.records.windows import LONGEST_GAP_DAYS
 
 _MOST_FILES = 20
@@ -23,6 +27,10 @@ _ROWS_TOLD = (
     "velocities_impossible",
     "rows_unset_clock",
     "rows_dropped",
+    "rows_of_other_ranges",
+    "rows_without_range",
+    "rows_bad",
+    "rows_cut",
     "samples_out_of_order",
 )
 LEAST_TAKEN = 10
@@ -54,7 +62,30 @@ def describe_report(dataset: xr.Dataset) -> list[str]:
         lines += _describe_reading(json.loads(dataset.attrs["read_report"]))
     if "records_report" in dataset.attrs:
         lines += _describe_records(json.loads(dataset.attrs["records_report"]))
+    if OF_RANGES in dataset.attrs:
+        return [*lines, *_describe_ranges(dataset)]
     return [*lines, *doubt_lines(dataset)]
+
+
+def _describe_ranges(records: xr.Dataset) -> list[str]:
+    """Say for each range how much there is of it, and once what they have in common."""
+    lines, doubts = [], doubt_lines(records)
+    what = "height" if "height" in records.coords else "range"
+    lines.append(f"{records.sizes['record']} records of {records.attrs['duration']:g} s at each of the {what}s, m:")
+    for part, value in zip(split_ranges(records), short(records[what].values), strict=True):
+        own = json.loads(part.attrs.get(REPORT, "null"))
+        whole = (part["flag"].values == 0).all(axis=1)
+        counted = f"{np.count_nonzero(whole)} with all beams"
+        lost = ", ".join(f"{name} {number}" for name, number in own["dropped"].items() if number) if own else ""
+        used = f"{own['samples_used']} of {own['samples']} samples used" if own else "no sample"
+        lines.append(f"  {value}: {counted}; {used}{f'; dropped: {lost}' if lost else ''}")
+        doubts += [f"{what} {value} m: {line}" for line in doubt_lines(part.drop_attrs().assign_attrs(_own(part)))]
+    return [*lines, *doubts]
+
+
+def _own(part: xr.Dataset) -> dict[str, Any]:
+    """Return what is told of one range alone: what was read is told of all together."""
+    return {name: value for name, value in part.attrs.items() if name != "read_report"}
 
 
 def _describe_reading(report: Mapping[str, Any]) -> list[str]:
@@ -74,12 +105,21 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             ("velocities_impossible", "velocities that no wind has"),
             ("rows_unset_clock", "of a clock that was not set, set aside"),
             ("rows_dropped", "dropped without a time or a beam"),
+            ("rows_of_other_ranges", "of other ranges"),
+            ("rows_without_range", "dropped without a range"),
+            ("rows_bad", "bad ones left out"),
+            ("rows_cut", "cut at the end of the file, left out"),
             ("samples_out_of_order", "samples out of order, sorted"),
         ):
             line += f"; {file[key]} {words}" if file.get(key) else ""
+        if "first_bad_row" in file:
+            line += f"; the first bad row: {file['first_bad_row']}"
+        if "ranges" in file:
+            line += f"; ranges read: {listed_ranges(file['ranges_used'])} of {listed_ranges(file['ranges'])} m"
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
+    lines += _describe_reordered([file["name"] for file in report["files"] if file.get("range_rows_reordered")])
     skipped = report.get("files_skipped", [])
     lines += [f"skipped {file['name']}: {file['reason']}" for file in skipped[:_MOST_FILES]]
     lines += [f"skipped {len(skipped) - _MOST_FILES} more files"] if len(skipped) > _MOST_FILES else []
@@ -92,8 +132,21 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
     line = f"{report['samples']} samples, {report['samples_without_velocity']} without a velocity"
     if report["duplicates_dropped"]:
         line += f"; {report['duplicates_dropped']} repeated ones dropped"
-        line += f", {report['duplicates_that_differ']} of which differ" if report["duplicates_that_differ"] else ""
+        differ = report["duplicates_that_differ"]
+        line += f", {differ} of which differ: their samples count as missing" if differ else ""
     return [*lines, line]
+
+
+def _describe_reordered(names: Sequence[str]) -> list[str]:
+    """Say that files had the ranges of other rays beside their rays."""
+    if not names:
+        return []
+    number, has, its = ("1 file", "has", "its") if len(names) == 1 else (f"{len(names)} files", "have", "their")
+    line = (
+        f"{number} (the first: {names[0]}) {has} the rows of {its} ranges in another order than {its} rays, as the "
+        "heights of the gates say: the ranges are taken in the order in which they agree (gates_by)"
+    )
+    return [line]
 
 
 def _alike(files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,21 @@ import xarray as xr
 
 from bayes_rs._validation import FloatArray, check_non_negative
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.belief import add_told
 from bayes_rs.quality.rules import QualityRules
-from bayes_rs.quality.samples import IntArray
+from bayes_rs.quality.samples import IntArray, distinct, ends_by_beam, is_sorted
+from bayes_rs.readers.ranged_series import scan_of_series, stacked
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.counts import flags_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS
-from bayes_rs.records.making import make_records, with_cut_off
+from bayes_rs.records.grid import on_grid
+from bayes_rs.records.layout import REPORT
+from bayes_rs.records.making import empty_record, make_records, stack_alike, windows_of, with_cut_off
+from bayes_rs.records.ranges import split_ranges
 from bayes_rs.records.record_options import record_options
-from bayes_rs.records.windows import record_windows
 
 _OF_CHUNK = ("source_files", "read_report")
 """Attributes of a series that tell of its chunk only."""
@@ -121,6 +126,7 @@ def stream_records(
     state, of_scan = StreamState(), as_scan(scan)
     blocks = []
     for chunk in series:
+        of_scan = scan_of_series(chunk, of_scan)
         state, block = add_chunk(state, chunk, of_scan, lateness=lateness, quality=quality, **options)
         blocks += [] if block is None else [block]
     return join_blocks(blocks, state, of_scan, quality=quality, **options)
@@ -156,6 +162,8 @@ def add_chunk(
     InputError
         As `stream_records`.
     """
+    if isinstance(scan, RangedScan):
+        chunk = stacked(chunk, scan)
     window = record_options(options).window
     wait = window if lateness is None else round(check_non_negative(lateness, what="lateness", unit="s") * 1e9)
     time, beam, columns = _arrays(chunk, scan)
@@ -166,15 +174,16 @@ def add_chunk(
         _check_alike(state, columns, attributes)
     before = np.maximum.accumulate(np.concatenate([[time[0] if state.latest is None else state.latest], time]))
     late = time // window < (before[:-1] - wait) // window
+    on_time = ~late if late.any() else slice(None)
     out_of_order, latest_of_beam = _out_of_order(time, beam, state.latest_of_beam)
     if late.any() and not state.late:
         index = int(np.argmax(late))
         first_late = f"beam {beam[index]} at {_utc(time[index])}, after a sample of {_utc(before[index])}"
         state = replace(state, first_late=first_late)
-    all_time = np.concatenate([state.time, time[~late]])
-    all_beam = np.concatenate([state.beam, beam[~late]])
+    all_time = np.concatenate([state.time, time[on_time]])
+    all_beam = np.concatenate([state.beam, beam[on_time]])
     all_columns = {
-        name: np.concatenate([state.columns[name], values[~late]]) if name in state.columns else values[~late]
+        name: np.concatenate([state.columns[name], values[on_time]]) if name in state.columns else values[on_time]
         for name, values in columns.items()
     }
     latest = int(before[-1])
@@ -230,6 +239,8 @@ def join_blocks(
     InputError
         If there is no sample, or the times span too many records.
     """
+    if isinstance(scan, RangedScan):
+        return _join_ranges(blocks, state, scan, quality, options)
     if len(state.time):
         last = _series(state.time, state.beam, state.columns, state.attributes)
         blocks = [*blocks, make_records(last, scan, quality=quality, **options)]
@@ -237,30 +248,14 @@ def join_blocks(
         raise InputError("Invalid series: it holds no sample; give files with samples.")
     chosen = record_options(options)
     window = chosen.window
-    number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
     present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
     beams = scan.beam[np.isin(scan.beam, present)]
-    windows = record_windows(np.concatenate(number), window, len(beams))
-    n_record = len(windows)
-    empty = _empty_record(blocks[0], scan, state, quality, options)
-    _check_same(blocks, empty)
-    start = (windows * window).astype("datetime64[ns]")
-    rows = [np.searchsorted(windows, of) for of in number]
-    column = [np.searchsorted(beams, block["beam"].values, sorter=np.argsort(beams)) for block in blocks]
-    column = [np.argsort(beams)[of] for of in column]
-    variables: dict[str, Any] = {}
-    for name, template in blocks[0].data_vars.items():
-        both = template.dims[:2] == ("record", "beam")
-        shape = (n_record, len(beams), *template.shape[2:]) if both else (n_record, *template.shape[1:])
-        values = np.full(shape, empty[name].values.ravel()[0], dtype=template.dtype)
-        for block, row, of in zip(blocks, rows, column, strict=True):
-            values[np.ix_(row, of) if both else row] = block[name].values
-        variables[str(name)] = (template.dims, values, template.attrs)
-    records = xr.Dataset(
-        variables,
-        coords={"time": ("record", start, blocks[0]["time"].attrs), "beam": ("beam", beams)},
-        attrs=blocks[0].attrs,
+    windows = windows_of(blocks, window, len(beams))
+    empty = empty_record(
+        state.columns, state.attributes, int(blocks[0]["beam"].values[0]), scan, quality=quality, **options
     )
+    _check_same(blocks, empty)
+    records = on_grid(blocks, empty, windows=windows, beams=beams, window=window)
     # a block does not know of a beam that it lacks and others have: the wind is found again, to the last bit
     valid = (records["flag"].values & ~np.uint8(BEAM_FLAGS["record_excluded"])) == 0
     speed, yaw, of_wind = wind_of_beams(records["mean"].values, valid, scan.select(beams))
@@ -272,6 +267,47 @@ def join_blocks(
     absent = [number for number in scan.beam.tolist() if number not in beams]
     files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
     return records.assign_attrs({**files, "beams_absent": json.dumps(absent), "records_report": json.dumps(report)})
+
+
+def _join_ranges(
+    blocks: Sequence[xr.Dataset],
+    state: StreamState,
+    scan: RangedScan,
+    quality: QualityRules | None,
+    options: Mapping[str, Any],
+) -> xr.Dataset:
+    """Put the records of a stream at several ranges together, range by range."""
+    index, beam = scan.split(state.beam)
+    parts = [split_ranges(block) for block in blocks]
+    joined: dict[int, xr.Dataset] = {}
+    for place in range(scan.n_range):
+        # records of a range that a block only holds because others have them are told by their lack of a report
+        own = [part[place] for part in parts if REPORT in part[place].attrs]
+        rows = index == place
+        if not own and not rows.any():
+            continue
+        of_range = replace(
+            state,
+            time=state.time[rows],
+            beam=beam[rows],
+            columns={name: values[rows] for name, values in state.columns.items()},
+            samples=int(rows.sum()) + sum(json.loads(part.attrs[REPORT])["samples"] for part in own),
+        )
+        if joined:  # what is counted for all ranges together stands with the first
+            of_range = replace(of_range, late=0, first_late="", out_of_order=0)
+        joined[place] = join_blocks(own, of_range, scan.at(place), quality=quality, **options)
+    if not joined:
+        raise InputError("Invalid series: it holds no sample; give files with samples.")
+    no_sample = partial(
+        empty_record,
+        state.columns,
+        state.attributes,
+        int(scan.of_one.beam[0]),
+        scan.at(0),
+        quality=quality,
+        **options,
+    )
+    return stack_alike(joined, scan, record_options(options).window, no_sample)
 
 
 def _report(
@@ -331,7 +367,7 @@ def _arrays(chunk: xr.Dataset, scan: Scan) -> tuple[IntArray, IntArray, dict[str
     if not np.issubdtype(chunk["time"].dtype, np.datetime64) or bool(np.isnat(chunk["time"].values).any()):
         raise InputError("Invalid chunk of a series: every time must be a UTC time of type datetime64.")
     beam = np.asarray(chunk["beam"].values)
-    foreign = np.setdiff1d(beam, scan.beam)
+    foreign = np.setdiff1d(distinct(beam), scan.beam)
     if len(foreign):
         raise InputError(
             f"Unknown beam {foreign[0]} in a chunk of a series: the beams of the scan {scan.name!r} are "
@@ -359,6 +395,8 @@ def _check_alike(state: StreamState, columns: Mapping[str, Any], attributes: Map
 
 def _out_of_order(time: IntArray, beam: IntArray, latest: Mapping[int, int]) -> tuple[int, dict[int, int]]:
     """Count the samples that are earlier than one of the same beam before them; return the latest of each beam, too."""
+    if is_sorted(time) and (not latest or len(time) == 0 or time[0] >= max(latest.values())):
+        return 0, {**latest, **{number: end for number, (_, end) in ends_by_beam(time, beam).items()}}
     order = np.argsort(beam, kind="stable")
     edges = np.flatnonzero(np.diff(beam[order])) + 1
     count, after = 0, dict(latest)
@@ -401,17 +439,6 @@ def _layout_of(records: xr.Dataset) -> dict[str, dict[str, int]]:
         str(name): {str(dim): size for dim, size in data.sizes.items() if dim not in ("record", "beam")}
         for name, data in records.data_vars.items()
     }
-
-
-def _empty_record(
-    block: xr.Dataset, scan: Scan, state: StreamState, quality: QualityRules | None, options: Mapping[str, Any]
-) -> xr.Dataset:
-    """Return what `make_records` says of a record and beam without a sample: the second of three, of one beam."""
-    window = record_options(options).window
-    beam = np.full(2, block["beam"].values[0], dtype=np.int64)
-    columns = {name: np.zeros(2, dtype=values.dtype) for name, values in state.columns.items()}
-    series = _series(np.array([0, 2 * window]), beam, columns, state.attributes)
-    return make_records(series, scan, quality=quality, **options).isel(record=1)
 
 
 def _utc(time: int | np.signedinteger[Any]) -> str:

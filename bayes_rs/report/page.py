@@ -33,6 +33,9 @@ _SCAN_BOX = '<div class="scroll" tabindex="0" role="region" aria-label="The scan
 _UNIT = "m² s⁻²"
 _HOUR = 3.6e6  # ms
 NO_SAMPLES = "not counted"
+_WITHOUT_SCRIPT = (
+    '<noscript><p class="note">The pictures need JavaScript. Every picture has a table, which does not.</p></noscript>'
+)
 _FIRST = 3  # records that are named for each flag
 
 
@@ -82,9 +85,9 @@ def render(found: ReportData, *, title: str | None = None) -> str:
     scan = str(found.run.get("scan", "")) or "unknown scan"
     if title is None:
         title = f"Reynolds stresses, scan {scan}" + (f", {words.period(found)}" if words.period(found) else "")
-    style, script = _shipped("style.css"), _shipped("script.js")
+    style, script = shipped("style.css"), shipped("script.js")
     return fill(
-        _shipped("template.html"),
+        shipped("template.html"),
         {
             "title": escape(title),
             "lead": escape(_lead(found)),
@@ -95,6 +98,7 @@ def render(found: ReportData, *, title: str | None = None) -> str:
                 f"{content}</section>"
                 for key, heading, content in shown
             ),
+            "without_script": _WITHOUT_SCRIPT,
             "data": as_script_data(data),
             "style": style,
             "script": script,
@@ -120,7 +124,8 @@ def as_script_data(data: dict[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _shipped(name: str) -> str:
+def shipped(name: str) -> str:
+    """Return the text of a file that the report ships."""
     return files("bayes_rs.report").joinpath(name).read_text(encoding="utf-8")
 
 

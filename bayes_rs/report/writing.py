@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.output import output_file
 from bayes_rs.report.page import render
+from bayes_rs.report.ranged_page import render_ranges
 from bayes_rs.report.report_data import report_data
 from bayes_rs.result_folder import list_beside
 
@@ -51,6 +54,9 @@ def write_report(
 
     Notes
     -----
+    Of a fit at several ranges the page shows the profile, and leads to a page for each range in the folder of its fit;
+    with `output` it stands alone.
+
     The page loads nothing from elsewhere, and the same folder gives the same bytes. Of more than 1000 records the
     pictures along time show bins of whole hours. Draws go with the page as far as they take less than about 2.4 MB, 100
     to 600 a record; beyond, the posterior of a record is drawn from its mean and covariance, as a Gaussian. Where a
@@ -71,9 +77,23 @@ def write_report(
     if output is None and not found.place:
         raise InputError("A fit in memory has no folder for its report: name a file to write.")
     file = Path(found.place) / REPORT_FILE if output is None else Path(output)
-    data = report_data(found, prob=prob)
+    if isinstance(found, RangedFit):
+        html = partial(_of_ranges, found, None if output is not None else file, title, prob, overwrite=overwrite)
+    else:
+        data = report_data(found, prob=prob)
+        html = partial(render, data, title=title)
     with output_file(file, overwrite=overwrite) as part:
-        part.write_text(render(data, title=title), encoding="utf-8", newline="\n")
+        part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it
     return file
+
+
+def _of_ranges(found: RangedFit, file: Path | None, title: str | None, prob: float | None, *, overwrite: bool) -> str:
+    """Return the page of a fit at several ranges; those of its ranges are written into their folders first."""
+    links: dict[int, str] = {}
+    if file is not None:
+        for place, own in found.fits.items():
+            page = write_report(own, title=title, prob=prob, overwrite=overwrite)
+            links[place] = page.relative_to(file.parent).as_posix()
+    return render_ranges(found, links, title=title)

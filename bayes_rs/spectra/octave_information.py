@@ -13,6 +13,7 @@ from scipy.linalg import toeplitz
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.processor import one_thread
 from bayes_rs.spectra.octave_theory import Blocks, OctaveTheory, length_nodes
 from bayes_rs.theory.pairs import distinct_pairs
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -100,6 +101,7 @@ class _Kept:
 
 
 @lru_cache(maxsize=8)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _information(kept: _Kept) -> Information:
     theory, duration = kept.theory, kept.duration
     scan = theory.scan

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import PointProbe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.processor import one_thread
 from bayes_rs.quality.octaves import octave_count
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.theory.sampling_times import samples_that_fit
@@ -251,6 +252,7 @@ def octave_theory(
 
 
 @lru_cache(maxsize=8)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int) -> OctaveTheory:
     scan = by_key.scan
     interval, begin = scan.scan_duration, float(scan.beam_time[0])
@@ -267,6 +269,7 @@ def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int
 
 
 @lru_cache(maxsize=8)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _points(
     n_sample: int, interval: float, begin: float, duration: float, gamma: float
 ) -> tuple[Blocks, CubicSpline, FloatArray]:

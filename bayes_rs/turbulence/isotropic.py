@@ -8,6 +8,7 @@ import numpy as np
 from scipy import interpolate, special
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.processor import one_thread
 from bayes_rs.turbulence.log_transform import ComplexArray
 from bayes_rs.turbulence.one_point import ISOTROPIC_VARIANCE
 
@@ -31,6 +32,7 @@ _LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
 
 
 @lru_cache(maxsize=1)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _correlation_spline() -> interpolate.CubicSpline:
     log_r = np.linspace(_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION)
     f, g = isotropic_correlation(np.exp(log_r))

@@ -10,6 +10,7 @@ from scipy import special
 
 from bayes_rs._validation import FloatArray, as_numbers, check_non_negative, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.processor import one_thread
 from bayes_rs.turbulence.spectral_tensor import Components, lifetime_shape, scaled_tensor
 
 ISOTROPIC_VARIANCE = float(special.gamma(2.5) * special.gamma(1.0 / 3.0) / special.gamma(17.0 / 6.0) / 3.0)
@@ -37,6 +38,7 @@ def isotropic_tensor(k1: FloatArray, k2: FloatArray, k3: FloatArray) -> Componen
 
 
 @lru_cache(maxsize=256)
+@one_thread()  # what is kept must not depend on who asked for it first
 def scaled_stresses(gamma: float) -> tuple[float, float, float, float, float, float]:
     """Return the six one-point stresses in units of αε^(2/3) L^(2/3).
 

@@ -14,6 +14,7 @@ from scipy import sparse
 from bayes_rs._validation import FloatArray, as_numbers, check_array, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES, unpack_stress
+from bayes_rs.processor import one_thread
 from bayes_rs.turbulence.isotropic import isotropic_covariance, isotropic_cross_spectra, isotropic_radial
 from bayes_rs.turbulence.log_transform import ComplexArray, bessel_mellin, cosine_mellin, log_convolution, sine_mellin
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
@@ -342,6 +343,7 @@ def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) 
 
 
 @lru_cache(maxsize=16)
+@one_thread()  # what is kept must not depend on who asked for it first
 def _build_table(gamma: float, along: float, across: float, tolerance: float) -> CovarianceTable:
     promised, resolution = resolution_for(tolerance, gamma)
     ghost = STENCIL // 2

@@ -7,3 +7,4 @@ from .motion import with_motion as with_motion
 from .pairs import pair_stresses as pair_stresses
 from .pairs import reconstruct_pairs as reconstruct_pairs
 from .profile import wind_profile as wind_profile
+from .sonic import sonic_stresses as sonic_stresses

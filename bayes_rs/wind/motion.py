@@ -21,6 +21,7 @@ from bayes_rs.quality.belief import MOST_ANGLE, in_words, is_impossible
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import Column, open_table
+from bayes_rs.records.given import check_is_series
 from bayes_rs.records.making import make_records
 from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.wind.mean_vector import mean_wind
@@ -366,6 +367,7 @@ def remove_motion(
     gradient = check_finite(shear, what="shear", unit="1/s")
     if not any(name in motion for name in (*ANGLES, *VELOCITIES)):
         raise InputError(f"The motion holds nothing to remove: give some of {', '.join((*ANGLES, *VELOCITIES))}.")
+    check_is_series(series)
     before = make_records(series, scan, duration=duration)
     at = series["time"].values.astype("datetime64[ns]").astype(np.int64)
     beam_index = {int(number): index for index, number in enumerate(scan.beam)}

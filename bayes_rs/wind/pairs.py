@@ -15,6 +15,7 @@ from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import unpack_stress
+from bayes_rs.records.given import check_is_series
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 
@@ -111,6 +112,7 @@ def reconstruct_pairs(
     (600, True)
     """
     scan = as_scan(scan)
+    check_is_series(series)
     chosen = _pairs(scan, plane, pairs)
     longest = (
         _TOLERANCE * scan.scan_duration if tolerance is None else check_positive(tolerance, what="tolerance", unit="s")

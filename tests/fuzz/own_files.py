@@ -332,7 +332,7 @@ def change_npz(file: Path, rng: np.random.Generator) -> None:
         entries = {name: found[name] for name in found}
     name = str(list(entries)[rng.integers(len(entries))])
     if name == "meta" or rng.random() < 0.5:
-        entries["meta"] = np.array(json.dumps(change_plain(json.loads(str(entries["meta"])), rng)))
+        entries["meta"] = np.array(json.dumps(change_plain(json.loads(entries["meta"].item()), rng)))
         if rng.random() < 0.2:
             odd = [np.array(3), np.array(["a", "b"]), np.array("{"), np.array(["x"], dtype=object), np.array("[]")]
             entries["meta"] = odd[rng.integers(len(odd))]

@@ -13,7 +13,13 @@ import pytest
 from fuzz.families import FAMILIES
 
 SEED = 16
-N = {"files of radial velocities": 64, "files of our own": 24, "options of commands": 40, "calls from Python": 60}
+N = {
+    "files of radial velocities": 64,
+    "files of our own": 24,
+    "files of several ranges": 16,
+    "options of commands": 40,
+    "calls from Python": 60,
+}
 
 
 @pytest.mark.slow
