@@ -32,7 +32,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     known : iterable of str
         The names that there are. Case, hyphens, underscores, points and spaces do not count.
     """
-    if not isinstance(name, str) or len(name) > _LONGEST_NAME:
+    if not isinstance(name, str) or len(name) > _LONGEST_NAME or not plain_name(name):
         return ""
     plain = {plain_name(one): one for one in known}
     begins = [one for one in plain if len(name) > 1 and one.startswith(plain_name(name))]

@@ -138,6 +138,10 @@ class TestTables:
         named = look(tmp_path / "a.txt", columns={"beam": "2", "radial_velocity": "3"})
         assert "3 beams, samples of each: 0: 10, 1: 10, 2: 10" in named.lines
 
+    def test_empty_entries_of_a_table_with_semicolons(self, tmp_path):
+        (tmp_path / "a.csv").write_text("time;beam;radial_velocity\n" + "2020-01-01T00:00:00;;\n" * 4)
+        assert "no velocity is a number" in look(tmp_path / "a.csv").lines
+
     @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
     def test_encodings(self, tmp_path, encoding):
         text = "time,Höhe °,beam\n2020-01-01T00:00:00,3,1\n2020-01-01T00:00:01,3,1\n"

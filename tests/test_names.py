@@ -83,7 +83,7 @@ class TestDidYouMean:
             brs.load_scan("quadcopter")
         assert did_you_mean(3, ["3"]) == ""
         assert did_you_mean("x" * 1000, ["x"]) == ""
-        assert did_you_mean("", ["a"]) == ""
+        assert did_you_mean("", ["a"]) == did_you_mean("--", ["a"]) == ""
 
     @pytest.mark.parametrize(
         ("call", "match"),

@@ -486,7 +486,7 @@ class TestBadInput:
         [
             ({"cnr_range": (-5.0, -23.0)}, "Invalid cnr_range (-5.0, -23.0) dB: it must be a pair (low, high)"),
             ({"cnr_range": -23.0}, "Invalid cnr_range -23.0 dB: it must be a pair (low, high)"),
-            ({"despike": "mean"}, "Unknown despike 'mean': it must be one of median."),
+            ({"despike": "mean"}, "Unknown despike 'mean': it must be one of median; did you mean 'median'?"),
             ({"despike_window": 4}, "Invalid despike_window 4: it must be an odd number of samples."),
             ({"despike_window": 1}, "Invalid despike_window 1: it must be a whole number of at least 3."),
             ({"despike_threshold": -1.0}, "Invalid despike_threshold -1.0: it must be a finite number above zero."),

@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from ray_files import mixed_hour, rays_of, six_beam, windcube_sweep, write_windcube
+from ray_files import RayTable, mixed_hour, rays_of, six_beam, windcube_sweep, write_windcube
 
 import bayes_rs as brs
 from bayes_rs.cli.group import commands
@@ -144,6 +144,18 @@ class TestFindScan:
         done = run("find-scan", tmp_path, "--range", 150, "-o", tmp_path / "dbs.toml")
         assert done.exit_code == 0, done.output
         assert done.stdout.endswith(f"next: bayes-rs fit {tmp_path} --scan auto --range 150 -o OUT/\n")
+
+    def test_a_lidar_that_shares_its_time(self, tmp_path):
+        """Ten cycles of 20 s in every ten minutes: a beam has 10 of 30 samples."""
+        seconds = (6e8 + 600.0 * np.arange(5)[:, None] + 5.0 * np.arange(40)).ravel()
+        azimuth, elevation = np.tile([0.0, 90.0, 180.0, 270.0], 50), np.full(200, 75.0)
+        table = RayTable(seconds, azimuth, elevation, np.full((200, 1), 100.0), np.ones((200, 1)))
+        windcube_sweep(table).to_netcdf(tmp_path / "shared.nc", engine="h5netcdf")
+        done = run("find-scan", tmp_path / "shared.nc", "-o", tmp_path / "dbs.toml")
+        assert (
+            "cycle of 20 s: 30 samples of a beam in 600 s\nin these files 10: the lidar shares its time" in done.stdout
+        )
+        assert done.stdout.splitlines()[-1].endswith("dbs.toml --min-availability 0.3 -o OUT/")
 
     def test_replaces_nothing_unasked(self, file, tmp_path):
         out = tmp_path / "six.toml"

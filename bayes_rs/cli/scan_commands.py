@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from bayes_rs.cli.options import GroupedCommand, Quantity, settings_options
 if TYPE_CHECKING:
     from bayes_rs.readers.survey import Survey
 
+_SHARED = 0.8
+"""Share of its own cycle's samples below which a scan shares the lidar's time: the default of ``min_availability``."""
 _output = click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture to write (PNG, PDF or SVG).")
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 
@@ -145,14 +148,22 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
     """Say what was found, what was dropped, and what to type next."""
     from bayes_rs.geometry.forward import sight
     from bayes_rs.geometry.scan_words import RECORD, beam_table, probe_in_words
+    from bayes_rs.records.report import LEAST_TAKEN
 
     scan = found.scan
     click.echo(f"{output}: {scan.n_beam} beams, from {scan.source}")
     for line in beam_table(scan, {"rays": [str(count) for count in found.n_ray]}):
         click.echo(line)
-    click.echo(
-        f"cycle of {scan.scan_duration:g} s: {RECORD / scan.scan_duration:.3g} samples of a beam in {RECORD:g} s"
-    )
+    every = RECORD / scan.scan_duration
+    click.echo(f"cycle of {scan.scan_duration:g} s: {every:.3g} samples of a beam in {RECORD:g} s")
+    least, usual, most = found.in_record
+    shared = usual < _SHARED * every
+    if shared:
+        span = f"{least:g} to {most:g}, usually {usual:g}" if least < most else f"{usual:g}"
+        click.echo(
+            f"in these files {span}: the lidar shares its time, and records need "
+            f"{100.0 * _SHARED:g} % of them, or a lower --min-availability (docs/quality.md)"
+        )
     click.echo(f"probe volume: {probe_in_words(scan.probe, scan.focus_distance)}")
     click.echo(sight(scan).in_words())
     for index, line in enumerate(found.found.in_words()):
@@ -172,6 +183,8 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
         which = [*files, "--scan", "auto", *wanted, *group]
     else:
         which = [*named, "--scan", str(output)]
+    if shared and usual >= LEAST_TAKEN:
+        which += ["--min-availability", f"{math.floor(20.0 * usual / every) / 20.0:g}"]
     click.echo(f"next: {command_line('bayes-rs', 'fit', *which, *reading, '-o', 'OUT/')}")
 
 

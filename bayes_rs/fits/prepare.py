@@ -14,6 +14,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.campaign_groups import campaign_groups
+from bayes_rs.fits.few_samples import scatter_of_few
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
@@ -76,6 +77,11 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
         batch = replace(batch, scatter=np.stack(both, axis=-1).astype(np.float64))
+    few = scatter_of_few(records, noise, batch.used)
+    if few is not None:
+        known = np.zeros((len(few), 2)) if batch.scatter is None else batch.scatter
+        own = (1.0 + known[:, 1]) * (1.0 + few) - 1.0
+        batch = replace(batch, scatter=np.stack([known[:, 0], own], axis=-1))
     if uncertain.length_scale_sd_of_records and {"length_scale", "length_scale_log_sd"} <= set(records):
         batch = replace(batch, length_log_sd=_own_length_log_sd(records))
     if uncertain.yaw_sd_of_records:

@@ -260,5 +260,5 @@ def _shape(lines: list[str], separator: str | None) -> tuple[str | None, int, bo
 
 
 def _has_decimal_commas(frame: pd.DataFrame) -> bool:
-    entries = frame.head(50).astype(str).to_numpy().ravel()
+    entries = frame.head(50).fillna("").astype(str).to_numpy().ravel()
     return sum(bool(re.fullmatch(r"\s*[-+]?\d+,\d+\s*", entry)) for entry in entries) > len(entries) // 10

@@ -295,8 +295,9 @@ def _sampling(time: NDArray[np.datetime64], label: NDArray[np.int64], *, whole: 
         return f"{len(ordered)} samples at {first}: each beam once"
     middle = float(np.median(step))
     step_of_all = np.diff(np.unique(ordered)) / np.timedelta64(1, "s")
+    what = "a beam" if len(np.unique(label[known])) > 1 else "a sample"
     pauses = step_of_all[step_of_all > _GAP * max(middle, 1e-9)]
-    words = f"{len(ordered)} samples from {first} to {last} (as UTC); a beam every {middle:.4g} s, median"
+    words = f"{len(ordered)} samples from {first} to {last} (as UTC); {what} every {middle:.4g} s, median"
     if not whole or not len(pauses):
         return f"{words}; no gap" if whole else words
     share = 1.0 - float(np.sum(pauses - middle)) / float(np.sum(step_of_all))
@@ -312,7 +313,8 @@ def _sign(velocity: FloatArray) -> tuple[list[str], str | None]:
     lines = []
     if odd.any():
         often = most_frequent(velocity[odd])
-        lines.append(f"{int(odd.sum())} velocities are beyond {VELOCITY_LIMIT:g} m/s, most often {often:g}")
+        many = "1 velocity is" if odd.sum() == 1 else f"{int(odd.sum())} velocities are"
+        lines.append(f"{many} beyond {VELOCITY_LIMIT:g} m/s, most often {often:g}")
     if not len(known):
         return [*lines, "no velocity is a number"], None
     mean, spread = float(known.mean()), float(known.std())

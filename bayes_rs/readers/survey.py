@@ -24,6 +24,7 @@ from bayes_rs.readers.surveyed import SurveyedFile, survey_files
 
 _REGULAR = 0.2  # share by which a direction's median revisit may differ from the cycle
 _TIME_DIGITS = 3  # of seconds; a median over rays knows no more
+_RECORD = 600  # s
 _MOST_GROUPS = 5  # scans that a message lists
 _MOST_GATES = 12  # distances that are listed where none was asked for
 
@@ -54,6 +55,9 @@ class Survey:
         What of its own files does not count, a line each.
     n_ray : tuple of int
         Rays of each beam.
+    in_record : tuple of float
+        The least, the usual and the largest number of rays of a beam in ten minutes that have some, those that the
+        files begin or end in left out; NaN where there are no others.
     """
 
     scan: Scan
@@ -62,6 +66,7 @@ class Survey:
     chosen: int
     dropped: tuple[str, ...]
     n_ray: tuple[int, ...]
+    in_record: tuple[float, float, float]
 
 
 def find_scan(
@@ -219,7 +224,28 @@ def survey(
         scan_duration=duration,
         probe=probe or PointProbe(),
     )
-    return Survey(scan, tuple(paths), found, 0 if number is None else number, tuple(dropped), tuple(n_rays))
+    return Survey(
+        scan,
+        tuple(paths),
+        found,
+        0 if number is None else number,
+        tuple(dropped),
+        tuple(n_rays),
+        _in_records(time, [one.rays for one in kept]),
+    )
+
+
+def _in_records(time: NDArray[np.datetime64], rays: Sequence[NDArray[np.int64]]) -> tuple[float, float, float]:
+    """Return the least, the median and the largest number of rays of a direction in ten minutes that have some."""
+    window = [time[of_beam].astype("datetime64[s]").astype(np.int64) // _RECORD for of_beam in rays]
+    kinds, at = np.unique(np.concatenate(window), return_inverse=True)
+    beam = np.repeat(np.arange(len(rays)), [len(of_beam) for of_beam in rays])
+    count = np.zeros((len(rays), len(kinds)))
+    np.add.at(count, (beam, at.ravel()), 1.0)
+    whole = count[:, 1:-1]  # the first and the last may be cut
+    if not whole.size:
+        return np.nan, np.nan, np.nan
+    return float(whole.min()), float(np.median(whole)), float(whole.max())
 
 
 def _wanted(

@@ -63,7 +63,18 @@ def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int
         },
         "beams_never_usable": numbers[never].tolist(),
         "beams_rarely_usable": numbers[rarely].tolist(),
+        "few_samples": _few_samples(records),
         "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),
         "record_flags": count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
         "records_with_wind_from_behind": int(looks_ahead and (np.abs(records["yaw"].values) > 90.0).sum()),
     }
+
+
+def _few_samples(records: xr.Dataset) -> dict[str, float]:
+    """Return the least, the usual and the largest number of samples of beams that have too few; empty if none has."""
+    few = (records["flag"].values & BEAM_FLAGS["too_few_samples"]) > 0
+    few &= (records["flag"].values & BEAM_FLAGS["cut_off"]) == 0
+    count = records["count"].values[few]
+    if not len(count):
+        return {}
+    return {"least": float(count.min()), "usual": float(np.median(count)), "most": float(count.max())}

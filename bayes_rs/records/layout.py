@@ -159,6 +159,7 @@ class RecordsReport(Open):
     records_with_wind_from_behind: Count = 0
     beams_never_usable: list[int]
     beams_rarely_usable: list[int] = Field(default_factory=list)
+    few_samples: dict[str, Finite] = Field(default_factory=dict)
     by_beam: dict[str, list[Count | int]] = Field(default_factory=dict)
     blades: list[_Blades] = Field(default_factory=list)
     long_gaps: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)

@@ -33,6 +33,8 @@ _ROWS_TOLD = (
     "rows_cut",
     "samples_out_of_order",
 )
+LEAST_TAKEN = 10
+"""Samples from which on a beam's variance is taken, whatever share they are: the default of ``min_count``."""
 _SURE = 1e-3
 """p-value below which dropped samples are reported as periodic."""
 
@@ -201,7 +203,25 @@ def _describe_records(report: Mapping[str, Any]) -> list[str]:
                     f"flag {name}{meaning.get(name, '')}: {counted['count']} of {counted['of']} {what}, "
                     f"first {counted['first_time']}{beam}"
                 )
-    return lines
+    return lines + _describe_few(report)
+
+
+def _describe_few(report: Mapping[str, Any]) -> list[str]:
+    """Say which share of the samples beams with too few have, and which option would count them."""
+    few, expected = report.get("few_samples", {}), report["samples_expected"]
+    if not {"least", "usual", "most"} <= few.keys() or expected <= 0.0 or few["most"] >= expected:
+        return []
+    shares = [f"{100.0 * few[name] / expected:.0f}" for name in ("least", "most")]
+    span = f"{few['least']:g} to {few['most']:g}" if few["least"] < few["most"] else f"{few['most']:g}"
+    line = (
+        f"beams with too few samples have {span} of {expected:.3g} ({' to '.join(dict.fromkeys(shares))} %), half of "
+        f"them {few['usual']:g} or more"
+    )
+    share = np.floor(20.0 * few["usual"] / expected) / 20.0
+    if few["usual"] < LEAST_TAKEN or share <= 0.0:
+        return [line]
+    line += f": min_availability={share:g} (--min-availability {share:g}) takes these, with wider intervals; "
+    return [line + "where time is shared between scans, their variances are a little too small (docs/quality.md)"]
 
 
 def _describe_filters(dropped: Mapping[str, int], by_beam: Mapping[str, list[int]]) -> list[str]:
