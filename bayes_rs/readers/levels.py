@@ -13,11 +13,8 @@ from bayes_rs.file_options import ALL_RANGES, FileOptions
 from bayes_rs.geometry.ranged_scan import RangedScan, check_one_distance, distances_at, looks_up, short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import no_range
-from bayes_rs.readers.matching import nearest_beam, nearest_gates
+from bayes_rs.readers.matching import SAME_GATE, cells_of_gates, check_metres, nearest_beam, nearest_gates
 from bayes_rs.readers.one_file import opened_reader
-
-_SAME_GATE = 0.5
-"""m; distances of a direction's rays that are closer than this are one gate: files round them to a metre or less."""
 
 
 def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> Scan:
@@ -69,7 +66,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
             f"The beams of scan {scan.name!r} have no gate in common in file {str(paths[0])!r}: "
             f"{_in_words(gates)}; give the scan that the file was measured with, or range (--range)."
         )
-    own = len(distance) == 1 and np.allclose(distance[0], scan.focus_distance, rtol=0.0, atol=_SAME_GATE)
+    own = len(distance) == 1 and np.allclose(distance[0], scan.focus_distance, rtol=0.0, atol=SAME_GATE)
     return scan if own and not asked else RangedScan.of(scan, distance)
 
 
@@ -83,7 +80,9 @@ def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[Floa
                     rays = reader.rays(plain, file_format)
                     return _of_rays(rays.direction, rays.distance, scan, file_format.angle_tolerance_deg)
                 found = reader.ranges(plain, file_format) if reader.ranges is not None else np.zeros(0)
-                return [_merged(found)] * scan.n_beam if len(found) else None
+                gates = _merged(found)
+                check_metres(found, path)
+                return [gates] * scan.n_beam if len(found) else None
         except InputError as error:
             if options.on_bad_file == "error":
                 raise
@@ -104,7 +103,7 @@ def _merged(distance: FloatArray) -> FloatArray:
     values, count = np.unique(np.round(distance[np.isfinite(distance) & (distance > 0.0)], 3), return_counts=True)
     if len(values) == 0:
         return values
-    cell = np.concatenate([[0], np.cumsum(np.diff(values) > _SAME_GATE)])
+    cell = cells_of_gates(values)
     merged = np.bincount(cell, weights=values * count) / np.bincount(cell, weights=count)
     return np.asarray(np.round(merged, 3))
 

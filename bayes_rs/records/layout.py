@@ -93,6 +93,7 @@ class _ReadFile(Open):
     first_bad_row: str = ""
     ranges: list[Finite] = Field(default_factory=list)
     ranges_used: list[Finite] = Field(default_factory=list)
+    gates_off: Positive | None = None
     velocities_impossible: Count = 0
     samples_out_of_order: Count = 0
     impossible_values: dict[str, Count] = Field(default_factory=dict)
