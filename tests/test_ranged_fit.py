@@ -106,11 +106,15 @@ class TestTogether:
         assert rows.loc["ti", "low"] == pytest.approx(np.sqrt(uu["low"]) / speed)
 
     def test_what_is_of_one_range_is_refused_with_advice(self, found):
-        for ask in (found.draws, found.covariance, found.lidar_frame, lambda: found["posterior"], lambda: found.flag):
+        of_one = (found.draws, found.covariance, found.lidar_frame, lambda: found["posterior"], lambda: found.flag)
+        for ask in (*of_one, lambda: found.prior_draws):
             with pytest.raises(InputError, match=r"at 2 ranges \(52, 98 m\).*fit.at\(52\)"):
                 ask()
         with pytest.raises(InputError, match="No range 300 m: there are 52, 98 m"):
             found.at(300.0)
+        with pytest.raises(InputError, match="Invalid range nan m: it must be a finite number"):
+            found.at(float("nan"))
+        assert found.nuisance_names == ()
         with pytest.raises(InputError, match="has no heights"):
             found.at(height=50.0)
 

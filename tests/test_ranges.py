@@ -350,6 +350,9 @@ class TestRecordsAtRanges:
             brs.wind.mean_wind(records, scan_at(120.0), turbulence="fu-2022")
         with pytest.raises(InputError, match=r"are at 3 ranges .* take one with .*at_range"):
             brs.noise.calibrate(scan_at(120.0), "fu-2022", records=records)
+        words = r"are at 1 range \(.* m\), .* at one \(--focus-distance DISTANCE, in place of --range\)"
+        with pytest.raises(InputError, match=words):
+            brs.wind.mean_wind(records.isel(range=[0]), scan_at(120.0), turbulence="fu-2022")
 
     def test_what_is_of_one_range_refuses_a_series_of_several(self, file):
         scan = scan_at(120.0)

@@ -59,8 +59,8 @@ class TablesOfRanges:
 def _of_one(ranges: Sequence[float]) -> InputError:
     words = ", ".join(short(list(ranges)))
     return InputError(
-        f"This fit is at {len(ranges)} ranges ({words} m), and what is asked for is of one: take one with "
-        f"fit.at({ranges[0]:g}), or open its folder."
+        f"This fit is at {len(ranges)} range{'s' if len(ranges) > 1 else ''} ({words} m), and what is asked for is of "
+        f"one: take one with fit.at({ranges[0]:g}), or open its folder."
     )
 
 
@@ -254,6 +254,22 @@ class RangedFit(Fit):
             Always.
         """
         raise _of_one(self.ranges.tolist())
+
+    @cached_property
+    def prior_draws(self) -> FloatArray:
+        """Refuse: draws are of one range.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _of_one(self.ranges.tolist())
+
+    @property
+    def nuisance_names(self) -> tuple[str, ...]:
+        """Names of the nuisances that have draws, those of every range."""
+        return next(iter(self.fits.values())).nuisance_names
 
     def _campaigns(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
         if not self.has_campaign:

@@ -256,8 +256,10 @@ def check_layout(
     if "range" in records.dims and not ranges:
         known = ", ".join(short(records["range"].values[:12])) if "range" in records.coords else "unknown"
         raise InputError(
-            f"{what} are at {records.sizes['range']} ranges ({known} m), and those of one are wanted here: take one "
-            f"with bayes_rs.records.at_range(records, distance), or read one (--focus-distance DISTANCE)."
+            f"{what} are at {records.sizes['range']} range{'s' if records.sizes['range'] > 1 else ''} ({known} m), and "
+            "those of one, without the dimension 'range', are wanted here: take one with "
+            "bayes_rs.records.at_range(records, distance), or read the files of radial velocities at one "
+            "(--focus-distance DISTANCE, in place of --range)."
         )
     check_dataset(
         records,
