@@ -6,11 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from ray_files import rays_of, six_beam, windcube_sweep, write_windcube
 
 import bayes_rs as brs
 from bayes_rs import load_scan, make_records, read
 from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan, distances_at, short
 from bayes_rs.records import at_range, describe_report, open_records, store_records, stream_records
@@ -291,6 +293,16 @@ class TestPulsedTable:
         for name in whole.variables:
             np.testing.assert_array_equal(whole[name].values, streamed[name].values, err_msg=str(name))
         assert whole.attrs["of_ranges"] == streamed.attrs["of_ranges"]
+
+    def test_a_flag_that_is_repeated_loses_no_range(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        call = ["records", str(tmp_path / "a.csv"), "--scan", "pulsed-4-beam", "-o", str(tmp_path / "r.nc")]
+        done = CliRunner().invoke(commands, [*call, "--range", "200,80", "--range", "120"])
+        assert done.exit_code == 0, done.output
+        assert open_records(tmp_path / "r.nc", "pulsed-4-beam")["range"].values.tolist() == [80.0, 120.0, 200.0]
+        done = CliRunner().invoke(commands, [*call, "--overwrite", "--range", "80", "--range", "all"])
+        assert done.exit_code == 2
+        assert "--range all: it stands alone; leave the other --range out." in done.output
 
     def test_the_scans_own_distance_alone_is_no_dimension(self, tmp_path):
         self.write(tmp_path / "a.csv", [178.0])
