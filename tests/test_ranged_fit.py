@@ -137,6 +137,15 @@ class TestTogether:
 
 
 class TestFolder:
+    def test_a_range_is_opened_where_another_is_gone(self, folder, found, tmp_path):
+        place = shutil.copytree(folder, tmp_path / "out")
+        shutil.rmtree(place / "range-52m")
+        some = open_fit(place)
+        assert some.at(98.0) is some.at(98.0)
+        pd.testing.assert_frame_equal(some.at(98.0).summary(), found.at(98.0).summary())
+        with pytest.raises(InputError, match=r"No folder .*range-52m"):
+            some.summary()
+
     def test_the_range_without_records_is_said(self, records, tmp_path):
         lost = records.copy(deep=True)
         lost["flag"].values[0] = 4

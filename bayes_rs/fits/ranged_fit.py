@@ -120,7 +120,21 @@ class RangedFit(Fit):
     @cached_property
     def fits(self) -> dict[int, Fit]:
         """The fits by the place of their range; ranges without a record that can be fitted are not in it."""
-        return {place: made() for place, made in enumerate(self.opened) if made is not None}
+        return {place: self._fit_at(place) for place, made in enumerate(self.opened) if made is not None}
+
+    @cached_property
+    def _found(self) -> dict[int, Fit]:
+        """The fits that were opened so far, by the place of their range."""
+        return {}
+
+    def _fit_at(self, place: int) -> Fit:
+        """Open the fit at one range, once: it does not matter to it whether the others are whole."""
+        made = self.opened[place]
+        if made is None:
+            raise InputError(f"No record at {self.range_names[place]} could be fitted: choose another one.")
+        if place not in self._found:
+            self._found[place] = made()
+        return self._found[place]
 
     def at(self, distance: float | None = None, *, height: float | None = None) -> Fit:
         """Return the fit at one range.
@@ -149,10 +163,7 @@ class RangedFit(Fit):
             if self.heights is None:
                 raise InputError("This fit has no heights, since the scan does not look up: choose by range.")
             what, wanted, values = ("height", height, self.heights)
-        place = nearest_range(values, float(wanted or 0.0), what=what)
-        if place not in self.fits:
-            raise InputError(f"No record at {what} {values[place]:g} m could be fitted: choose another one.")
-        return self.fits[place]
+        return self._fit_at(nearest_range(values, float(wanted or 0.0), what=what))
 
     def _together(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
         parts = []
