@@ -1,6 +1,7 @@
 """All ranges at once: what is read at several ranges is, range by range, what is read at each alone."""
 
 import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
@@ -200,6 +201,37 @@ class TestReading:
         table.write_text("time,vr_0,vr_1\n2024-01-01T00:00:00,1,2\n2024-01-01T00:00:01,1,2\n")
         with pytest.raises(InputError, match="does not say at which range it was measured"):
             read(table, "2-beam", range=[80.0])
+
+
+class TestFilesOfOneBeam:
+    """A file may hold one ray only, or a beam may have none at all."""
+
+    @pytest.fixture
+    def files(self, tmp_path):
+        planes, paths = six_beam(*HEIGHTS), []
+        time = np.datetime64("2024-03-01T00:00", "ns") + (planes.beam_time * 1e9).astype("timedelta64[ns]")
+        velocity = planes.line_of_sight @ np.array([-8.0, 0.0, 0.0])
+        series = xr.Dataset(
+            {"radial_velocity": ("sample", velocity)},
+            coords={"time": ("sample", time), "beam": ("sample", planes.beam)},
+        )
+        whole = rays_of(series, planes)
+        names = [entry.name for entry in fields(whole)]
+        for index in range(len(whole.seconds)):
+            one = replace(whole, **{name: getattr(whole, name)[index : index + 1] for name in names})
+            paths.append(write_windcube(tmp_path / f"{index}.nc", windcube_sweep(one)))
+        return paths
+
+    def test_their_gates_are_put_together(self, files):
+        series = read(files, scan_at(120.0), height=HEIGHTS)
+        assert series.sizes["sample"] == 18
+        for beam in range(6):
+            assert len(np.unique(series["range"].values[series["beam"].values == beam])) == 3
+
+    def test_a_beam_without_a_ray_is_absent(self, files):
+        series = read(files[:-1], scan_at(120.0), height=HEIGHTS)
+        assert series.sizes["sample"] == 15
+        assert json.loads(series.attrs["read_report"])["beams_absent"] == [5]
 
 
 class TestPulsedTable:

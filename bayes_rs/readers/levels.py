@@ -16,6 +16,9 @@ from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.matching import SAME_GATE, cells_of_gates, check_metres, nearest_beam, nearest_gates
 from bayes_rs.readers.one_file import opened_reader
 
+_MOST_FILES = 100
+"""Files that are looked at for the gates of all beams."""
+
 
 def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> Scan:
     """Return the scan at the ranges that are to be read: itself, or all its beams at each of several ranges.
@@ -23,7 +26,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     Parameters
     ----------
     paths : sequence of Path
-        The files; the first that can be read says which ranges there are.
+        The files; the first with rays of a beam says which ranges it has.
     scan : Scan
         The scan that they were measured with.
     options : FileOptions
@@ -71,31 +74,46 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
 
 
 def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[FloatArray] | None:
-    """Return the gates of each beam, in rising order, m; None if the files tell of none."""
+    """Return the gates of each beam, in rising order, m; None if the files tell of none.
+
+    Files are read until each beam has gates: a file may hold the rays of one beam only.
+    """
     first: InputError | None = None
-    for path in paths:
+    found: list[FloatArray] = [np.zeros(0)] * scan.n_beam
+    for path in paths[:_MOST_FILES]:
         try:
             with opened_reader(path, scan, options) as (reader, plain, file_format):
-                if reader.rays is not None:
-                    rays = reader.rays(plain, file_format)
-                    return _of_rays(rays.direction, rays.distance, scan, file_format.angle_tolerance_deg)
-                found = reader.ranges(plain, file_format) if reader.ranges is not None else np.zeros(0)
-                gates = _merged(found)
-                check_metres(found, path)
-                return [gates] * scan.n_beam if len(found) else None
+                if reader.rays is None:
+                    own = reader.ranges(plain, file_format) if reader.ranges is not None else np.zeros(0)
+                    check_metres(own, path)
+                    return [_merged(own)] * scan.n_beam if len(own) else None
+                rays = reader.rays(plain, file_format)
+                of_file = _of_rays(rays.direction, rays.distance, scan, file_format.angle_tolerance_deg)
         except InputError as error:
             if options.on_bad_file == "error":
                 raise
             first = first or error
+            continue
+        found = [known if len(known) else new for known, new in zip(found, of_file, strict=True)]
+        if all(len(one) for one in found):
+            return found
+    if any(len(one) for one in found):
+        return _with_absent(found, scan)
     if first is not None:
         raise first
     return None
 
 
-def _of_rays(direction: FloatArray, distance: FloatArray, scan: Scan, tolerance_deg: float) -> list[FloatArray] | None:
+def _of_rays(direction: FloatArray, distance: FloatArray, scan: Scan, tolerance_deg: float) -> list[FloatArray]:
     along = nearest_beam(direction, scan, tolerance_deg)
-    found = [_merged(distance[along == index].ravel()) for index in range(scan.n_beam)]
-    return found if all(len(one) for one in found) else None
+    return [_merged(distance[along == index].ravel()) for index in range(scan.n_beam)]
+
+
+def _with_absent(found: list[FloatArray], scan: Scan) -> list[FloatArray]:
+    """Return gates of all beams; those without a ray have no sample, and take the place of another beam's gates."""
+    rise = scan.level_direction[:, 2] if looks_up(scan) else np.ones(scan.n_beam)
+    other = next(index for index, one in enumerate(found) if len(one))
+    return [one if len(one) else found[other] * rise[other] / own for one, own in zip(found, rise, strict=True)]
 
 
 def _merged(distance: FloatArray) -> FloatArray:
