@@ -17,7 +17,7 @@ from bayes_rs.readers.matching import SAME_GATE, cells_of_gates, check_metres, n
 from bayes_rs.readers.one_file import opened_reader
 
 _MOST_FILES = 100
-"""Files that are looked at for the gates of all beams."""
+"""Files that are read for the gates of all beams, if some have gates by then."""
 
 
 def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> Scan:
@@ -80,7 +80,8 @@ def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[Floa
     """
     first: InputError | None = None
     found: list[FloatArray] = [np.zeros(0)] * scan.n_beam
-    for path in paths[:_MOST_FILES]:
+    n_read = 0
+    for path in paths:
         try:
             with opened_reader(path, scan, options) as (reader, plain, file_format):
                 if reader.rays is None:
@@ -97,6 +98,9 @@ def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[Floa
         found = [known if len(known) else new for known, new in zip(found, of_file, strict=True)]
         if all(len(one) for one in found):
             return found
+        n_read += 1
+        if n_read >= _MOST_FILES and any(len(one) for one in found):
+            break
     if any(len(one) for one in found):
         return _with_absent(found, scan)
     if first is not None:
