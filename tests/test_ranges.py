@@ -233,6 +233,11 @@ class TestFilesOfOneBeam:
         assert series.sizes["sample"] == 15
         assert json.loads(series.attrs["read_report"])["beams_absent"] == [5]
 
+    def test_rays_of_another_scan_are_said_to_be_such(self, files):
+        words = r"No ray of file '.*0.nc' looks along a beam of scan '2-beam': give the scan that it was measured with"
+        with pytest.raises(InputError, match=words):
+            read(files, "2-beam", range=[100.0])
+
 
 class TestPulsedTable:
     """A pulsed nacelle lidar's own table: a row for each beam and distance."""

@@ -41,7 +41,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     Raises
     ------
     InputError
-        If ranges are asked for and the files have none, or none at a wanted one.
+        If ranges are asked for and the files have none, or none at a wanted one, or no ray is of the scan.
     """
     if isinstance(scan, RangedScan):
         return scan
@@ -103,6 +103,11 @@ def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[Floa
             break
     if any(len(one) for one in found):
         return _with_absent(found, scan)
+    if n_read:
+        raise InputError(
+            f"No ray of file {str(paths[0])!r} looks along a beam of scan {scan.name!r}: give the scan that it was "
+            "measured with, or make it from the file with find_scan (bayes-rs find-scan)."
+        )
     if first is not None:
         raise first
     return None
