@@ -106,11 +106,15 @@ class TestTogether:
         assert rows.loc["ti", "low"] == pytest.approx(np.sqrt(uu["low"]) / speed)
 
     def test_what_is_of_one_range_is_refused_with_advice(self, found):
-        for ask in (found.draws, found.covariance, found.lidar_frame, lambda: found["posterior"], lambda: found.flag):
+        of_one = (found.draws, found.covariance, found.lidar_frame, lambda: found["posterior"], lambda: found.flag)
+        for ask in (*of_one, lambda: found.prior_draws):
             with pytest.raises(InputError, match=r"at 2 ranges \(52, 98 m\).*fit.at\(52\)"):
                 ask()
         with pytest.raises(InputError, match="No range 300 m: there are 52, 98 m"):
             found.at(300.0)
+        with pytest.raises(InputError, match="Invalid range nan m: it must be a finite number"):
+            found.at(float("nan"))
+        assert found.nuisance_names == ()
         with pytest.raises(InputError, match="has no heights"):
             found.at(height=50.0)
 
@@ -133,6 +137,15 @@ class TestTogether:
 
 
 class TestFolder:
+    def test_a_range_is_opened_where_another_is_gone(self, folder, found, tmp_path):
+        place = shutil.copytree(folder, tmp_path / "out")
+        shutil.rmtree(place / "range-52m")
+        some = open_fit(place)
+        assert some.at(98.0) is some.at(98.0)
+        pd.testing.assert_frame_equal(some.at(98.0).summary(), found.at(98.0).summary())
+        with pytest.raises(InputError, match=r"No folder .*range-52m"):
+            some.summary()
+
     def test_the_range_without_records_is_said(self, records, tmp_path):
         lost = records.copy(deep=True)
         lost["flag"].values[0] = 4

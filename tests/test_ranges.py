@@ -1,19 +1,22 @@
 """All ranges at once: what is read at several ranges is, range by range, what is read at each alone."""
 
 import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from ray_files import rays_of, six_beam, windcube_sweep, write_windcube
 
 import bayes_rs as brs
 from bayes_rs import load_scan, make_records, read
 from bayes_rs.begin_folder import begin_result_folder
+from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan, distances_at, short
-from bayes_rs.records import at_range, open_records, store_records, stream_records
+from bayes_rs.records import at_range, describe_report, open_records, store_records, stream_records
 from bayes_rs.records.flags import BEAM_FLAGS
 from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.result_folder import open_result_folder
@@ -202,6 +205,42 @@ class TestReading:
             read(table, "2-beam", range=[80.0])
 
 
+class TestFilesOfOneBeam:
+    """A file may hold one ray only, or a beam may have none at all."""
+
+    @pytest.fixture
+    def files(self, tmp_path):
+        planes, paths = six_beam(*HEIGHTS), []
+        time = np.datetime64("2024-03-01T00:00", "ns") + (planes.beam_time * 1e9).astype("timedelta64[ns]")
+        velocity = planes.line_of_sight @ np.array([-8.0, 0.0, 0.0])
+        series = xr.Dataset(
+            {"radial_velocity": ("sample", velocity)},
+            coords={"time": ("sample", time), "beam": ("sample", planes.beam)},
+        )
+        whole = rays_of(series, planes)
+        names = [entry.name for entry in fields(whole)]
+        for index in range(len(whole.seconds)):
+            one = replace(whole, **{name: getattr(whole, name)[index : index + 1] for name in names})
+            paths.append(write_windcube(tmp_path / f"{index}.nc", windcube_sweep(one)))
+        return paths
+
+    def test_their_gates_are_put_together(self, files):
+        series = read(files, scan_at(120.0), height=HEIGHTS)
+        assert series.sizes["sample"] == 18
+        for beam in range(6):
+            assert len(np.unique(series["range"].values[series["beam"].values == beam])) == 3
+
+    def test_a_beam_without_a_ray_is_absent(self, files):
+        series = read(files[:-1], scan_at(120.0), height=HEIGHTS)
+        assert series.sizes["sample"] == 15
+        assert json.loads(series.attrs["read_report"])["beams_absent"] == [5]
+
+    def test_rays_of_another_scan_are_said_to_be_such(self, files):
+        words = r"No ray of file '.*0.nc' looks along a beam of scan '2-beam': give the scan that it was measured with"
+        with pytest.raises(InputError, match=words):
+            read(files, "2-beam", range=[100.0])
+
+
 class TestPulsedTable:
     """A pulsed nacelle lidar's own table: a row for each beam and distance."""
 
@@ -240,6 +279,69 @@ class TestPulsedTable:
         assert np.unique(series["range"].values).tolist() == [80.0, 120.0]
         report = json.loads(series.attrs["read_report"])["files"][0]
         assert report["rows_of_other_ranges"] == 3 * 1200
+
+    @pytest.mark.parametrize("moves", [0.02, 0.2, 2.0])
+    def test_a_gate_may_move_a_little(self, tmp_path, moves):
+        rows = self.write(tmp_path / "a.csv", self.DISTANCES)
+        whole = make_records(read(tmp_path / "a.csv", "pulsed-4-beam"), "pulsed-4-beam")
+        rng = np.random.default_rng(4)
+        off = np.where(rng.random(len(rows)) < 0.5, 1.0, rng.uniform(-1.0, 1.0, len(rows)))
+        rows.assign(Distance=np.round(rows["Distance"] + moves * off, 3)).to_csv(tmp_path / "b.csv", index=False)
+        for options in ({}, {"range": self.DISTANCES}):
+            series = read(tmp_path / "b.csv", "pulsed-4-beam", **options)
+            report = json.loads(series.attrs["read_report"])["files"][0]
+            assert (report["rows_of_other_ranges"], len(report["ranges"])) == (0, 5)
+            records = make_records(series, "pulsed-4-beam")
+            np.testing.assert_allclose(records["range"].values, self.DISTANCES, atol=moves)
+            np.testing.assert_array_equal(records["variance"].values, whole["variance"].values)
+
+    def test_gates_that_are_close_stay_apart(self, tmp_path):
+        close = [10.0, 10.25, 10.5, 10.75]
+        self.write(tmp_path / "a.csv", close)
+        records = make_records(read(tmp_path / "a.csv", "pulsed-4-beam", range="all"), "pulsed-4-beam")
+        assert records["range"].values.tolist() == close
+        assert (np.diff(records["variance"].values[:, 0].mean(axis=1)) > 1.0).all()
+
+    @pytest.mark.parametrize("options", [{}, {"range": "all"}, {"range": [80.0]}])
+    def test_distances_in_km_are_refused(self, tmp_path, options):
+        rows = self.write(tmp_path / "a.csv", self.DISTANCES)
+        rows.assign(Distance=rows["Distance"] / 1000.0).to_csv(tmp_path / "a.csv", index=False)
+        words = r"distances of file '.*a.csv' are 0.08, 0.12, 0.16, 0.178, 0.2, and must be in m: they look like km"
+        with pytest.raises(InputError, match=words):
+            read(tmp_path / "a.csv", "pulsed-4-beam", **options)
+        with pytest.raises(InputError, match=words):
+            read(tmp_path / "a.csv", load_scan("pulsed-4-beam", focus_distance=160.0), **options)
+
+    def test_a_file_whose_gates_are_elsewhere_is_told(self, tmp_path):
+        self.write(tmp_path / "a.csv", [80.0, 120.0])
+        later = self.write(tmp_path / "b.csv", [90.0, 120.0])
+        later.assign(Timestamp=later["Timestamp"] + pd.Timedelta("1h")).to_csv(tmp_path / "b.csv", index=False)
+        series = read([tmp_path / "a.csv", tmp_path / "b.csv"], "pulsed-4-beam")
+        assert [file.get("gates_off") for file in json.loads(series.attrs["read_report"])["files"]] == [None, 10.0]
+        one, other, *_ = describe_report(make_records(series, "pulsed-4-beam"))
+        assert "count for" not in one
+        assert other.endswith("; gates up to 10 m from the ranges that they count for, those of another file")
+
+    def test_a_stream_is_the_whole_where_a_range_lacks_a_beam(self, tmp_path):
+        rows = self.write(tmp_path / "a.csv", self.DISTANCES)
+        rows[(rows["Distance"] < 200.0) | (rows["LOSindex"] != 2)].to_csv(tmp_path / "a.csv", index=False)
+        series = read(tmp_path / "a.csv", "pulsed-4-beam")
+        whole = make_records(series, "pulsed-4-beam")
+        chunks = [series.isel(sample=slice(first, first + 1000)) for first in range(0, series.sizes["sample"], 1000)]
+        streamed = stream_records(chunks, "pulsed-4-beam")
+        for name in whole.variables:
+            np.testing.assert_array_equal(whole[name].values, streamed[name].values, err_msg=str(name))
+        assert whole.attrs["of_ranges"] == streamed.attrs["of_ranges"]
+
+    def test_a_flag_that_is_repeated_loses_no_range(self, tmp_path):
+        self.write(tmp_path / "a.csv", self.DISTANCES)
+        call = ["records", str(tmp_path / "a.csv"), "--scan", "pulsed-4-beam", "-o", str(tmp_path / "r.nc")]
+        done = CliRunner().invoke(commands, [*call, "--range", "200,80", "--range", "120"])
+        assert done.exit_code == 0, done.output
+        assert open_records(tmp_path / "r.nc", "pulsed-4-beam")["range"].values.tolist() == [80.0, 120.0, 200.0]
+        done = CliRunner().invoke(commands, [*call, "--overwrite", "--range", "80", "--range", "all"])
+        assert done.exit_code == 2
+        assert "--range all: it stands alone; leave the other --range out." in done.output
 
     def test_the_scans_own_distance_alone_is_no_dimension(self, tmp_path):
         self.write(tmp_path / "a.csv", [178.0])
@@ -299,6 +401,9 @@ class TestRecordsAtRanges:
             brs.wind.mean_wind(records, scan_at(120.0), turbulence="fu-2022")
         with pytest.raises(InputError, match=r"are at 3 ranges .* take one with .*at_range"):
             brs.noise.calibrate(scan_at(120.0), "fu-2022", records=records)
+        words = r"are at 1 range \(.* m\), .* at one \(--focus-distance DISTANCE, in place of --range\)"
+        with pytest.raises(InputError, match=words):
+            brs.wind.mean_wind(records.isel(range=[0]), scan_at(120.0), turbulence="fu-2022")
 
     def test_what_is_of_one_range_refuses_a_series_of_several(self, file):
         scan = scan_at(120.0)

@@ -366,6 +366,7 @@ def field_option(entry: Option, group: str) -> FieldOption:
     kind = _type(entry, list(get_args(container)) if several else kinds)
     if distances:
         kind = Distances([ALL_RANGES] if str in kinds else [])
+        return FieldOption(*names, multiple=True, type=kind, callback=_distances(entry), **attributes)
     return FieldOption(*names, multiple=several, type=kind, **attributes)
 
 
@@ -418,6 +419,22 @@ def _shown(default: Any) -> str:
 def _switch(_context: click.Context, _parameter: click.Parameter, given: bool | None) -> str | None:
     """Return what a switch is set to; None where the command line does not say."""
     return None if given is None else "on" if given else "off"
+
+
+def _distances(
+    entry: Option,
+) -> Callable[[click.Context, click.Parameter, tuple[tuple[float, ...] | str, ...]], tuple[float, ...] | str | None]:
+    """Return what puts distances together that stand after several of one flag; None where none was given."""
+
+    def make(
+        _context: click.Context, _parameter: click.Parameter, given: tuple[tuple[float, ...] | str, ...]
+    ) -> tuple[float, ...] | str | None:
+        words = [one for one in given if isinstance(one, str)]
+        if words and len(given) > 1:
+            raise click.UsageError(f"{entry.flag} {words[0]}: it stands alone; leave the other {entry.flag} out.")
+        return words[0] if words else tuple(float(number) for one in given for number in one) or None
+
+    return make
 
 
 def _pairs(entry: Option, value: type) -> Callable[[click.Context, click.Parameter, tuple[str, ...]], Any]:

@@ -59,8 +59,8 @@ class TablesOfRanges:
 def _of_one(ranges: Sequence[float]) -> InputError:
     words = ", ".join(short(list(ranges)))
     return InputError(
-        f"This fit is at {len(ranges)} ranges ({words} m), and what is asked for is of one: take one with "
-        f"fit.at({ranges[0]:g}), or open its folder."
+        f"This fit is at {len(ranges)} range{'s' if len(ranges) > 1 else ''} ({words} m), and what is asked for is of "
+        f"one: take one with fit.at({ranges[0]:g}), or open its folder."
     )
 
 
@@ -120,7 +120,21 @@ class RangedFit(Fit):
     @cached_property
     def fits(self) -> dict[int, Fit]:
         """The fits by the place of their range; ranges without a record that can be fitted are not in it."""
-        return {place: made() for place, made in enumerate(self.opened) if made is not None}
+        return {place: self._fit_at(place) for place, made in enumerate(self.opened) if made is not None}
+
+    @cached_property
+    def _found(self) -> dict[int, Fit]:
+        """The fits that were opened so far, by the place of their range."""
+        return {}
+
+    def _fit_at(self, place: int) -> Fit:
+        """Open the fit at one range, once: it does not matter to it whether the others are whole."""
+        made = self.opened[place]
+        if made is None:
+            raise InputError(f"No record at {self.range_names[place]} could be fitted: choose another one.")
+        if place not in self._found:
+            self._found[place] = made()
+        return self._found[place]
 
     def at(self, distance: float | None = None, *, height: float | None = None) -> Fit:
         """Return the fit at one range.
@@ -149,10 +163,7 @@ class RangedFit(Fit):
             if self.heights is None:
                 raise InputError("This fit has no heights, since the scan does not look up: choose by range.")
             what, wanted, values = ("height", height, self.heights)
-        place = nearest_range(values, float(wanted or 0.0), what=what)
-        if place not in self.fits:
-            raise InputError(f"No record at {what} {values[place]:g} m could be fitted: choose another one.")
-        return self.fits[place]
+        return self._fit_at(nearest_range(values, float(wanted or 0.0), what=what))
 
     def _together(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
         parts = []
@@ -254,6 +265,22 @@ class RangedFit(Fit):
             Always.
         """
         raise _of_one(self.ranges.tolist())
+
+    @cached_property
+    def prior_draws(self) -> FloatArray:
+        """Refuse: draws are of one range.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _of_one(self.ranges.tolist())
+
+    @property
+    def nuisance_names(self) -> tuple[str, ...]:
+        """Names of the nuisances that have draws, those of every range."""
+        return next(iter(self.fits.values())).nuisance_names
 
     def _campaigns(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
         if not self.has_campaign:

@@ -188,8 +188,9 @@ def nearest_range(values: FloatArray, wanted: float, *, what: str = "range") -> 
     Raises
     ------
     InputError
-        If none is within half the distance to the next.
+        If none is within half the distance to the next, or the wanted one is no number.
     """
+    wanted = check_finite(wanted, what=what, unit="m")
     index = int(np.argmin(np.abs(values - wanted)))
     steps = np.abs(np.diff(values))[max(index - 1, 0) : index + 1]
     if np.abs(values[index] - wanted) > (0.5 * steps.max() if len(steps) else 0.05 * wanted) + 1e-6:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.matching import first_of_direction, nearest_gates
+from bayes_rs.readers.matching import cells_of_gates, check_metres, facts_of_gates, first_of_direction, nearest_gates
 from bayes_rs.readers.unnamed_ranges import listed_ranges
 
 IntArray = NDArray[np.int64]
@@ -29,18 +30,29 @@ class BeamRanges:
         The scan.
     ranges : ndarray, shape (n_range,)
         Distinct distances along the beam of the file, m, in order.
-    target : ndarray of int, shape (n_beam, n_range)
-        By the index of a beam that only says the direction: the index of the beam at this range; −1 if there is none.
+    cell : ndarray of int, shape (n_range,)
+        Which gate each of them is of, since a gate may move a little; −1 if it is none, as one of 0 m.
+    gates : ndarray, shape (n_gate,)
+        Where the gates are, m: the mean of their distances.
+    target : ndarray of int, shape (n_beam, n_gate)
+        By the index of a beam that only says the direction: the index of the beam at this gate; −1 if there is none.
     """
 
     scan: Scan
     ranges: FloatArray
+    cell: IntArray
+    gates: FloatArray
     target: IntArray
 
-    @property
-    def used(self) -> FloatArray:
-        """The distances that some beam has, m."""
-        return self.ranges[(self.target >= 0).any(axis=0)]
+    def facts(self) -> dict[str, Any]:
+        """Return what a report says of the file: its gates, those that some beam has, and how far off they are."""
+        index, gate = np.nonzero(self.target >= 0)
+        wanted = self.scan.focus_distance[self.target[index, gate]]
+        return {
+            "ranges": self.gates.tolist(),
+            "ranges_used": self.gates[np.unique(gate)].tolist(),
+            **facts_of_gates(self.scan, self.gates[gate], wanted),
+        }
 
     def beams(self, number: IntArray, distance: FloatArray) -> tuple[IntArray, BoolArray]:
         """Return the beam of each row, and whether it has one.
@@ -55,9 +67,10 @@ class BeamRanges:
         order = np.argsort(self.scan.beam, kind="stable")
         index = order[np.minimum(np.searchsorted(self.scan.beam, number, sorter=order), len(order) - 1)]
         there = np.isfinite(distance)
-        gate = np.minimum(np.searchsorted(self.ranges, np.where(there, distance, 0.0)), len(self.ranges) - 1)
+        place = np.minimum(np.searchsorted(self.ranges, np.where(there, distance, 0.0)), len(self.ranges) - 1)
+        gate = self.cell[place]
         found = self.target[index, gate]
-        fits = there & (found >= 0)
+        fits = there & (gate >= 0) & (found >= 0)
         return np.where(fits, self.scan.beam[found], number), fits
 
 
@@ -88,7 +101,8 @@ def match_ranges(ranges: FloatArray, scan: Scan, file: Path, file_format: FileFo
     Raises
     ------
     InputError
-        If no range is at a distance of the scan, or two beams of one direction would have the same range.
+        If no range is at a distance of the scan, two beams of one direction would have the same range, or the ranges
+        cannot be in m.
     """
     heading = file_format.column("range")
     if len(ranges) == 0:
@@ -96,16 +110,22 @@ def match_ranges(ranges: FloatArray, scan: Scan, file: Path, file_format: FileFo
             f"File {str(file)!r} has no number in its column {heading!r} of ranges: give another column with "
             "columns={'range': 'its heading'} (--column range=HEADING)."
         )
-    gate, good = nearest_gates(ranges[np.newaxis], scan.focus_distance, file_format.range_tolerance)
+    there = ranges > 0.0
+    cell = np.full(len(ranges), -1, dtype=np.int64)
+    cell[there] = cells_of_gates(ranges[there])
+    gates = np.round(np.bincount(cell[there], weights=ranges[there]) / np.bincount(cell[there]), 6)
+    check_metres(ranges, file)
+    gate, good = nearest_gates(gates[np.newaxis], scan.focus_distance, file_format.range_tolerance)
     if not good.any():
+        found = listed_ranges(gates if len(gates) else ranges)
         raise InputError(
             f"No row of file {str(file)!r} is at a distance of scan {scan.name!r}: the ranges in column {heading!r} "
-            f"are {listed_ranges(ranges)} m, and the scan's distances {listed_ranges(np.unique(scan.focus_distance))} "
+            f"are {found} m, and the scan's distances {listed_ranges(np.unique(scan.focus_distance))} "
             "m; give the scan one of the file's as focus_distance (--focus-distance), or a larger range_tolerance "
             "(--range-tolerance)."
         )
     first = first_of_direction(scan)
-    target = np.full((scan.n_beam, len(ranges)), -1, dtype=np.int64)
+    target = np.full((scan.n_beam, len(gates)), -1, dtype=np.int64)
     for index in np.flatnonzero(good[0]).tolist():
         along, at = first == first[index], int(gate[0, index])
         other = int(target[index, at])
@@ -113,8 +133,8 @@ def match_ranges(ranges: FloatArray, scan: Scan, file: Path, file_format: FileFo
             raise InputError(
                 f"Beams {scan.beam[other]} and {scan.beam[index]} of scan {scan.name!r}, at "
                 f"{scan.focus_distance[other]:g} and {scan.focus_distance[index]:g} m, have the same range of file "
-                f"{str(file)!r}, {ranges[at]:g} m: give focus distances that are further apart, or a smaller "
+                f"{str(file)!r}, {gates[at]:g} m: give focus distances that are further apart, or a smaller "
                 "range_tolerance (--range-tolerance)."
             )
         target[along, at] = index
-    return BeamRanges(scan, ranges, target)
+    return BeamRanges(scan, ranges, cell, gates, target)

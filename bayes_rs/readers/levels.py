@@ -13,11 +13,11 @@ from bayes_rs.file_options import ALL_RANGES, FileOptions
 from bayes_rs.geometry.ranged_scan import RangedScan, check_one_distance, distances_at, looks_up, short
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import no_range
-from bayes_rs.readers.matching import nearest_beam, nearest_gates
+from bayes_rs.readers.matching import SAME_GATE, cells_of_gates, check_metres, nearest_beam, nearest_gates
 from bayes_rs.readers.one_file import opened_reader
 
-_SAME_GATE = 0.5
-"""m; distances of a direction's rays that are closer than this are one gate: files round them to a metre or less."""
+_MOST_FILES = 100
+"""Files that are read for the gates of all beams, if some have gates by then."""
 
 
 def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> Scan:
@@ -26,7 +26,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     Parameters
     ----------
     paths : sequence of Path
-        The files; the first that can be read says which ranges there are.
+        The files; the first with rays of a beam says which ranges it has.
     scan : Scan
         The scan that they were measured with.
     options : FileOptions
@@ -41,7 +41,7 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
     Raises
     ------
     InputError
-        If ranges are asked for and the files have none, or none at a wanted one.
+        If ranges are asked for and the files have none, or none at a wanted one, or no ray is of the scan.
     """
     if isinstance(scan, RangedScan):
         return scan
@@ -69,34 +69,60 @@ def scan_at_ranges(paths: Sequence[Path], scan: Scan, options: FileOptions) -> S
             f"The beams of scan {scan.name!r} have no gate in common in file {str(paths[0])!r}: "
             f"{_in_words(gates)}; give the scan that the file was measured with, or range (--range)."
         )
-    own = len(distance) == 1 and np.allclose(distance[0], scan.focus_distance, rtol=0.0, atol=_SAME_GATE)
+    own = len(distance) == 1 and np.allclose(distance[0], scan.focus_distance, rtol=0.0, atol=SAME_GATE)
     return scan if own and not asked else RangedScan.of(scan, distance)
 
 
 def _gates(paths: Sequence[Path], scan: Scan, options: FileOptions) -> list[FloatArray] | None:
-    """Return the gates of each beam, in rising order, m; None if the files tell of none."""
+    """Return the gates of each beam, in rising order, m; None if the files tell of none.
+
+    Files are read until each beam has gates: a file may hold the rays of one beam only.
+    """
     first: InputError | None = None
+    found: list[FloatArray] = [np.zeros(0)] * scan.n_beam
+    n_read = 0
     for path in paths:
         try:
             with opened_reader(path, scan, options) as (reader, plain, file_format):
-                if reader.rays is not None:
-                    rays = reader.rays(plain, file_format)
-                    return _of_rays(rays.direction, rays.distance, scan, file_format.angle_tolerance_deg)
-                found = reader.ranges(plain, file_format) if reader.ranges is not None else np.zeros(0)
-                return [_merged(found)] * scan.n_beam if len(found) else None
+                if reader.rays is None:
+                    own = reader.ranges(plain, file_format) if reader.ranges is not None else np.zeros(0)
+                    check_metres(own, path)
+                    return [_merged(own)] * scan.n_beam if len(own) else None
+                rays = reader.rays(plain, file_format)
+                of_file = _of_rays(rays.direction, rays.distance, scan, file_format.angle_tolerance_deg)
         except InputError as error:
             if options.on_bad_file == "error":
                 raise
             first = first or error
+            continue
+        found = [known if len(known) else new for known, new in zip(found, of_file, strict=True)]
+        if all(len(one) for one in found):
+            return found
+        n_read += 1
+        if n_read >= _MOST_FILES and any(len(one) for one in found):
+            break
+    if any(len(one) for one in found):
+        return _with_absent(found, scan)
+    if n_read:
+        raise InputError(
+            f"No ray of file {str(paths[0])!r} looks along a beam of scan {scan.name!r}: give the scan that it was "
+            "measured with, or make it from the file with find_scan (bayes-rs find-scan)."
+        )
     if first is not None:
         raise first
     return None
 
 
-def _of_rays(direction: FloatArray, distance: FloatArray, scan: Scan, tolerance_deg: float) -> list[FloatArray] | None:
+def _of_rays(direction: FloatArray, distance: FloatArray, scan: Scan, tolerance_deg: float) -> list[FloatArray]:
     along = nearest_beam(direction, scan, tolerance_deg)
-    found = [_merged(distance[along == index].ravel()) for index in range(scan.n_beam)]
-    return found if all(len(one) for one in found) else None
+    return [_merged(distance[along == index].ravel()) for index in range(scan.n_beam)]
+
+
+def _with_absent(found: list[FloatArray], scan: Scan) -> list[FloatArray]:
+    """Return gates of all beams; those without a ray have no sample, and take the place of another beam's gates."""
+    rise = scan.level_direction[:, 2] if looks_up(scan) else np.ones(scan.n_beam)
+    other = next(index for index, one in enumerate(found) if len(one))
+    return [one if len(one) else found[other] * rise[other] / own for one, own in zip(found, rise, strict=True)]
 
 
 def _merged(distance: FloatArray) -> FloatArray:
@@ -104,7 +130,7 @@ def _merged(distance: FloatArray) -> FloatArray:
     values, count = np.unique(np.round(distance[np.isfinite(distance) & (distance > 0.0)], 3), return_counts=True)
     if len(values) == 0:
         return values
-    cell = np.concatenate([[0], np.cumsum(np.diff(values) > _SAME_GATE)])
+    cell = cells_of_gates(values)
     merged = np.bincount(cell, weights=values * count) / np.bincount(cell, weights=count)
     return np.asarray(np.round(merged, 3))
 

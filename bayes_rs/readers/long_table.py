@@ -120,7 +120,7 @@ def _samples(table: Table, scan: Scan, column: Mapping[str, Column], by_range: B
             "rows_without_range": int(no_range.sum()),
             "rows_of_other_ranges": int((keep & ~no_range & ~fits).sum()),
         }
-        facts |= {"ranges": by_range.ranges.tolist(), "ranges_used": by_range.used.tolist()}
+        facts |= by_range.facts()
         keep &= fits
     return Samples(
         file=table.file,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.samples import Samples
@@ -20,6 +23,11 @@ SINGLE_GATE_SHARE = 0.05
 
 _SAME = 1e-6  # chord; beams of several planes point the same way to rounding
 _ROUNDING = 1e-6  # m; distances are float32 in most files' arithmetic
+SAME_GATE = 0.5
+"""m; distances closer than this are one gate, that is rounded or moves a little, unless all gates are that close."""
+_NEAREST = 1.0  # m
+_CLOSE = 0.25
+"""Share of the largest step from distance to distance within which distances may be one gate."""
 
 
 def match_rays(
@@ -109,8 +117,25 @@ def match_rays(
         row=rays.row[chosen],
         row_word=rays.row_word,
         counts=counts,
-        facts=rays.facts,
+        facts={
+            **rays.facts,
+            **facts_of_gates(scan, rays.distance[chosen, where], scan.focus_distance[at[1][order]]),
+        },
     )
+
+
+def facts_of_gates(scan: Scan, gates: FloatArray, wanted: FloatArray) -> dict[str, float]:
+    """Return how far, at most, a file's gates are from the ranges that they count for, m, if there are several.
+
+    Parameters
+    ----------
+    scan : Scan
+        The scan.
+    gates, wanted : ndarray, shape (n,)
+        Where gates are, and where the beams are that they were given to, m.
+    """
+    off = float(np.max(np.abs(gates - wanted), initial=0.0)) if isinstance(scan, RangedScan) else 0.0
+    return {"gates_off": round(off, 3)} if off > SAME_GATE else {}
 
 
 def directions_in_words(direction: FloatArray, *, most: int = 8) -> str:
@@ -203,6 +228,38 @@ def nearest_gates(distance: FloatArray, focus: FloatArray, range_tolerance: floa
             allowed = np.full(n_ray, float(range_tolerance))
         gate[:, column], good[:, column] = best, off[row, best] <= allowed + _ROUNDING
     return gate, good
+
+
+def cells_of_gates(distance: FloatArray) -> IntArray:
+    """Return which gate each of some distances is, counted from 0: a gate may be rounded, or move a little.
+
+    Parameters
+    ----------
+    distance : ndarray, shape (n,)
+        Distinct distances, m, in rising order.
+    """
+    step = np.diff(distance)
+    if len(step) == 0:
+        return np.zeros(len(distance), dtype=np.int64)
+    apart = step > min(SAME_GATE, _CLOSE * step.max())
+    if distance[-1] - distance[0] <= SAME_GATE:
+        apart[:] = False
+    return np.concatenate([[0], np.cumsum(apart)]).astype(np.int64)
+
+
+def check_metres(gates: FloatArray, file: Path) -> None:
+    """Refuse the gates of a file, m, that are all nearer than an instrument measures: they are in another unit.
+
+    Raises
+    ------
+    InputError
+        If they are all less than 1 m away.
+    """
+    if len(gates) and gates.max() < _NEAREST:
+        raise InputError(
+            f"The distances of file {str(file)!r} are {_listed(gates)}, and must be in m: they look like km; multiply "
+            "them by 1000."
+        )
 
 
 def _check_distinct(gate: IntArray, good: BoolArray, rays: Rays, index: IntArray, scan: Scan, beams: IntArray) -> None:

@@ -63,7 +63,7 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
             "rows_without_range": int(no_range_said.sum()),
             "rows_of_other_ranges": int((keep & ~no_range_said & ~fits).sum()),
         }
-        facts = {"ranges": by_range.ranges.tolist(), "ranges_used": by_range.used.tolist()}
+        facts = by_range.facts()
         keep &= fits
     return Samples(
         file=file,

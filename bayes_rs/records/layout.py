@@ -93,6 +93,7 @@ class _ReadFile(Open):
     first_bad_row: str = ""
     ranges: list[Finite] = Field(default_factory=list)
     ranges_used: list[Finite] = Field(default_factory=list)
+    gates_off: Positive | None = None
     velocities_impossible: Count = 0
     samples_out_of_order: Count = 0
     impossible_values: dict[str, Count] = Field(default_factory=dict)
@@ -256,8 +257,10 @@ def check_layout(
     if "range" in records.dims and not ranges:
         known = ", ".join(short(records["range"].values[:12])) if "range" in records.coords else "unknown"
         raise InputError(
-            f"{what} are at {records.sizes['range']} ranges ({known} m), and those of one are wanted here: take one "
-            f"with bayes_rs.records.at_range(records, distance), or read one (--focus-distance DISTANCE)."
+            f"{what} are at {records.sizes['range']} range{'s' if records.sizes['range'] > 1 else ''} ({known} m), and "
+            "those of one, without the dimension 'range', are wanted here: take one with "
+            "bayes_rs.records.at_range(records, distance), or read the files of radial velocities at one "
+            "(--focus-distance DISTANCE, in place of --range)."
         )
     check_dataset(
         records,

@@ -18,7 +18,16 @@ from bayes_rs.records.windows import LONGEST_GAP_DAYS
 
 _MOST_FILES = 20
 """Files up to which each has a line of its own; beyond, those that were read alike share one."""
-_OPTIONS_TOLD = ("format", "positive", "velocity_unit", "time_zone", "time_stamp", "options_of_format", "columns")
+_OPTIONS_TOLD = (
+    "format",
+    "positive",
+    "velocity_unit",
+    "time_zone",
+    "time_stamp",
+    "options_of_format",
+    "columns",
+    "gates_off",
+)
 _BY_HEADINGS = "zx"
 """The format whose columns are found by headings that nobody publishes: the report names them."""
 _ROWS_TOLD = (
@@ -116,6 +125,8 @@ def _describe_reading(report: Mapping[str, Any]) -> list[str]:
             line += f"; the first bad row: {file['first_bad_row']}"
         if "ranges" in file:
             line += f"; ranges read: {listed_ranges(file['ranges_used'])} of {listed_ranges(file['ranges'])} m"
+        if file.get("gates_off"):
+            line += f"; gates up to {file['gates_off']:g} m from the ranges that they count for, those of another file"
         if file["format"] == _BY_HEADINGS:
             line += f"; columns read: {', '.join(f'{name} {own!r}' for name, own in file.get('columns', {}).items())}"
         lines.append(line)
@@ -154,6 +165,7 @@ def _alike(files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     together: dict[str, list[Mapping[str, Any]]] = {}
     for file in files:
         options = {name: file.get(name) for name in _OPTIONS_TOLD}
+        options["ranges"] = [round(value) for value in file.get("ranges_used", ())]
         together.setdefault(json.dumps(options, sort_keys=True), []).append(file)
     return [
         {

@@ -282,7 +282,7 @@ def _join_ranges(
     joined: dict[int, xr.Dataset] = {}
     for place in range(scan.n_range):
         # records of a range that a block only holds because others have them are told by their lack of a report
-        own = [part[place] for part in parts if REPORT in part[place].attrs]
+        own = [_with_samples(part[place]) for part in parts if REPORT in part[place].attrs]
         rows = index == place
         if not own and not rows.any():
             continue
@@ -308,6 +308,11 @@ def _join_ranges(
         **options,
     )
     return stack_alike(joined, scan, record_options(options).window, no_sample)
+
+
+def _with_samples(block: xr.Dataset) -> xr.Dataset:
+    """Return the records of the beams that have samples, without those that others of the block's ranges have."""
+    return block.isel(beam=~((block["flag"].values & BEAM_FLAGS["no_samples"]) != 0).all(axis=0))
 
 
 def _report(
