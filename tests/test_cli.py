@@ -728,7 +728,7 @@ class TestBadOptions:
             (["--duration", "0"], "Invalid duration 0.0 s"),
             (["--duration", "7"], "Invalid duration 7.0 s: it must divide a day"),
             (["--min-availability", "1.5"], "Invalid min_availability 1.5: it must be from 0 to 1."),
-            (["--format", "excel"], "Invalid value for '--format': 'excel' is not one of 'auto', 'halo', 'zx',"),
+            (["--format", "excel"], "Invalid value for '--format': 'excel' is not one of 'auto', 'halo',"),
         ],
     )
     def test_reading_and_record_options(self, fit, inputs, option, part):

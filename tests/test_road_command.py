@@ -581,38 +581,32 @@ class TestOtherCommands:
     @pytest.mark.parametrize(
         ("section", "name"), [(section, name) for section, name in ON_THE_COMMAND_LINE if section == "files"]
     )
-    def test_how_files_are_read(self, section, name, handed, tmp_path):
+    def test_how_spectra_read_files(self, section, name, handed, tmp_path):
         sample = SAMPLES[section][name]
-        found = handed("bayes_rs.readers.reading:read", "records", *handed.mine, *sample.words, "-o", tmp_path / "r.nc")
+        found = handed("bayes_rs.readers.reading:read", "spectra", *handed.mine, *sample.words, "-o", tmp_path / "s")
         assert found.get(name, "error" if name == "on_bad_file" else None) == sample.value
 
-    @pytest.mark.parametrize(
-        ("section", "name"),
-        [
-            (section, name)
-            for section, name in ON_THE_COMMAND_LINE
-            if section in ("records", "quality") and not name.startswith("motion")
-        ],
-    )
-    def test_rules_of_records(self, section, name, handed, tmp_path):
-        sample = SAMPLES[section][name]
-        found = handed(
-            "bayes_rs.records.making:make_records", "records", *handed.mine, *sample.words, "-o", tmp_path / "r.nc"
-        )
-        assert (getattr(found["quality"], name) if section == "quality" else found[name]) == sample.value
+    def test_blades_are_looked_for_in_a_whole_series(self, handed, tmp_path):
+        words = SAMPLES["quality"]["blade_frequency"].words
+        found = handed("bayes_rs.records.making:make_records", "records", *handed.mine, *words, "-o", tmp_path / "r.nc")
+        assert found["quality"].blade_frequency == (0.3, 1.2)
 
     @pytest.mark.parametrize(
-        ("section", "name"),
+        ("command", "section", "name"),
         [
-            (section, name)
+            (command, section, name)
+            for command in ("records", "fit")
             for section, name in ON_THE_COMMAND_LINE
-            if section in ("files", "records", "quality") and not name.startswith("motion")
+            if section in ("files", "records", "quality")
+            and not name.startswith("motion")
+            and (command, name) != ("records", "blade_frequency")  # the test above
         ],
     )
-    def test_how_fit_makes_records(self, section, name, handed, tmp_path):
+    def test_how_records_are_made(self, command, section, name, handed, tmp_path):
         sample = SAMPLES[section][name]
         words = (*handed.mine, *words_of_needs(sample.needs), *sample.words, "-o", tmp_path / "out")
-        found = handed("bayes_rs.fits.from_files:store_records", "fit", *words)
+        module = "bayes_rs.records.record_store" if command == "records" else "bayes_rs.fits.from_files"
+        found = handed(f"{module}:store_records", command, *words)
         place = {"files": found["reading"], "quality": found["quality"]}.get(section)
         assert (found[name] if place is None else getattr(place, name)) == sample.value
 

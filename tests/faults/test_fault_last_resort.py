@@ -13,7 +13,7 @@ import pytest
 from fault_scenes import FIT, start
 
 from bayes_rs import InputError, LostResultsError, WorkerError, cli
-from bayes_rs.cli import data_commands
+from bayes_rs.cli import scan_commands
 from bayes_rs.ledger import fingerprint_of
 
 FAULT = (
@@ -35,7 +35,7 @@ def ended(monkeypatch, capsys):
         def callback(**_):
             raise error
 
-        monkeypatch.setattr(data_commands.scans, "callback", callback)
+        monkeypatch.setattr(scan_commands.scans, "callback", callback)
         monkeypatch.setattr(sys, "argv", ["bayes-rs", "scans"])
         with pytest.raises(SystemExit) as caught:
             cli.main()
@@ -125,8 +125,8 @@ class TestEnds:
         own = (
             "import os, signal, sys\n"
             "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-            "from bayes_rs.cli import data_commands, main\n"
-            "data_commands.scans.callback = lambda **_: os.kill(os.getpid(), signal.SIGHUP)\n"
+            "from bayes_rs.cli import main, scan_commands\n"
+            "scan_commands.scans.callback = lambda **_: os.kill(os.getpid(), signal.SIGHUP)\n"
             "sys.argv = ['bayes-rs', 'scans']\n"
             "main()\n"
         )
@@ -134,7 +134,7 @@ class TestEnds:
         assert process.communicate()[1] == ""
         assert process.returncode == 0
 
-    @pytest.mark.parametrize("module", ["click", "bayes_rs.cli.group", "numpy", "bayes_rs.cli.data_commands"])
+    @pytest.mark.parametrize("module", ["click", "bayes_rs.cli.group", "numpy", "bayes_rs.cli.scan_commands"])
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_in_the_first_moments(self, tmp_path, module, number):
         own = (

@@ -22,7 +22,7 @@ OF_SAMPLES = ("few.csv", "--scan", "6-beam", "--duration", "60")
 CASES = {
     "demo": (("demo", "-o", "demo"), "demo/widths.csv"),
     "scans": (("scans", "6-beam", "-o", "scan.png"), "scan.png"),
-    "find-scan": (("find-scan", "rays.nc", "--distance", "100", "-o", "found.toml"), "found.toml"),
+    "find-scan": (("find-scan", "rays.nc", "--range", "100", "-o", "found.toml"), "found.toml"),
     "look": (("look", "few.csv", "-o", "look.png"), "look.png"),
     "plan": (("plan", "2-beam"), None),
     "records": (("records", *OF_SAMPLES, "-o", "made.nc"), "made.nc"),
