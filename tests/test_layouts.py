@@ -20,6 +20,7 @@ from bayes_rs.layouts import Entry, Open, check_dataset, check_table, read_json
 from bayes_rs.ledger import LEDGER, _line, fingerprint_of_file, read_ledger, write_ledger
 from bayes_rs.noise.file import load_noise
 from bayes_rs.priors import WeakPrior
+from bayes_rs.readers.looking import look
 from bayes_rs.records.layout import check_layout
 from bayes_rs.records.record_files import open_record_files
 
@@ -444,6 +445,17 @@ class TestParquetInput:
         assert re.match(
             rf"Column '{name}' of file '.*data.parquet' holds .*, and must hold one number, text or time", text
         )
+
+    @pytest.mark.parametrize("name", ["time", "radial_velocity"])
+    def test_times_of_day(self, tmp_path, name):
+        # nanoseconds that Python's own times do not have
+        table = pq.read_table(brs.demo_file("6-beam")).slice(0, 600)
+        values = pa.array(np.arange(600, dtype=np.int64) + 1, type=pa.time64("ns"))
+        pq.write_table(table.set_column(table.column_names.index(name), name, values), tmp_path / "data.parquet")
+        text = refused(lambda: brs.read(tmp_path / "data.parquet", SCAN))
+        assert re.match(rf"Column '{name}' of file '.*data.parquet' holds time64\[ns\], times of day without", text)
+        text = refused(lambda: look(tmp_path / "data.parquet"))
+        assert "data.parquet" in text
 
 
 class TestFileOfAFolder:

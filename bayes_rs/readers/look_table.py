@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -148,7 +149,7 @@ def look_at_table(file: Path, options: FileFormat) -> LookedTable:
             batch = next(parquet.iter_batches(batch_size=MOST_ROWS), None)
             frame = (parquet.schema_arrow.empty_table() if batch is None else batch).to_pandas()
             n_row = parquet.metadata.num_rows
-        except UNREADABLE as error:
+        except (*UNREADABLE, pa.ArrowException) as error:
             raise unreadable(file, error) from error
         frame = frame.reset_index() if frame.index.name else frame
         frame.columns = [str(name) for name in frame.columns]

@@ -108,7 +108,11 @@ class Table:
         )
         for part in parts:
             if len(part):
-                yield _frame(part), before
+                try:
+                    frame = _frame(part)
+                except pa.ArrowException as error:  # what Arrow holds and pandas does not
+                    raise unreadable(self.file, error) from error
+                yield frame, before
             before += len(part)
         if before == 0:
             raise InputError(f"File {str(self.file)!r} has headings but no row: give a file with samples.")
@@ -218,6 +222,11 @@ class Table:
     def _check_plain(self, column: pa.Field[Any]) -> None:
         """Refuse a column whose entries are no single numbers, texts or times."""
         kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+        if pa.types.is_time(kind):
+            raise InputError(
+                f"Column {column.name!r} of file {str(self.file)!r} holds {column.type}, times of day without a date: "
+                "write whole dates and times."
+            )
         if pa.types.is_nested(kind) or pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
             raise InputError(
                 f"Column {column.name!r} of file {str(self.file)!r} holds {column.type}, and must hold one number, "
