@@ -105,6 +105,15 @@ class TestTogether:
         speed = float(found.at(52.0).records["wind_speed"].values[1])
         assert rows.loc["ti", "low"] == pytest.approx(np.sqrt(uu["low"]) / speed)
 
+    def test_a_record_that_one_range_lacks_has_the_profile_of_the_others(self, records):
+        lost = records.copy(deep=True)
+        lost["flag"].values[0, 1] = 4
+        some = fit(lost, SCAN, seed=3, **QUICK)
+        assert some.profile(record=1)["range"].unique().tolist() == [98.0]
+        lost["flag"].values[:, 1] = 4
+        with pytest.raises(InputError, match="Record 1 was not fitted"):
+            fit(lost, SCAN, seed=3, **QUICK).profile(record=1)
+
     def test_what_is_of_one_range_is_refused_with_advice(self, found):
         of_one = (found.draws, found.covariance, found.lidar_frame, lambda: found["posterior"], lambda: found.flag)
         for ask in (*of_one, lambda: found.prior_draws):

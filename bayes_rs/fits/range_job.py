@@ -192,8 +192,6 @@ def fit_ranges_into(
             _fit_inner(_Shared(job, progress, workers, client, say), one)
     run = {**run_of_ranges(job, about), **(more or {})}
     found = ranged_fit_in(run, str(folder.path))
-    if not found.fits:
-        raise InputError("No record at any of the ranges can be fitted.")
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, found._together(exported_summary), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)

@@ -166,16 +166,17 @@ class RangedFit(Fit):
         return self._fit_at(nearest_range(values, float(wanted or 0.0), what=what))
 
     def _together(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
+        """Return the tables of all ranges that have rows as one, with range and height before their columns."""
         parts = []
         for place, own in self.fits.items():
-            columns: dict[str, float] = {"range": float(self.ranges[place])}
+            part = table(own).copy()
+            if part.empty:
+                continue
             if self.heights is not None:
-                columns["height"] = float(self.heights[place])
-            parts.append(table(own))
-            for at, (name, value) in enumerate(columns.items()):
-                parts[-1] = parts[-1].copy() if at == 0 else parts[-1]
-                parts[-1].insert(at, name, value)
-        return pd.concat(parts, ignore_index=True)
+                part.insert(0, "height", float(self.heights[place]))
+            part.insert(0, "range", float(self.ranges[place]))
+            parts.append(part)
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
     def summary(
         self,
@@ -284,8 +285,7 @@ class RangedFit(Fit):
 
     def _campaigns(self, table: Callable[[Fit], pd.DataFrame]) -> pd.DataFrame:
         if not self.has_campaign:
-            first = next(iter(self.fits.values()))
-            first.campaign()  # says why there is none
+            next(iter(self.fits.values())).campaign()  # says why there is none
         return self._together(lambda own: table(own) if own.has_campaign else pd.DataFrame())
 
     @property

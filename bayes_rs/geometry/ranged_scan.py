@@ -104,10 +104,9 @@ class RangedScan(Scan):
     @property
     def height(self) -> FloatArray | None:
         """Height of each range above the lidar, shape (n_range,), m; None if the scan does not look up."""
-        rise = self.of_one.level_direction[:, 2]
-        if rise.min() < _RISES:
+        if not looks_up(self.of_one):
             return None
-        heights = self.distance * rise
+        heights = self.distance * self.of_one.level_direction[:, 2]
         middle = np.median(heights, axis=1)
         same = np.abs(heights - middle[:, np.newaxis]) <= _SAME_HEIGHT * middle[:, np.newaxis]
         return np.asarray(middle) if same.all() else None

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.cfradial import cfradial_rays
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.rays import Rays
-from bayes_rs.readers.samples import Samples
 
 _OWN = {"base_time", "time_offset", "time", "range", "azimuth", "elevation", "radial_velocity", "intensity"}
 
@@ -24,22 +22,6 @@ def recognises_arm(file: Path) -> bool:
         return set(glance(file)["/"].names) >= _OWN
     except InputError:
         return False
-
-
-def read_arm(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `arm_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        arm_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def arm_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -76,6 +58,8 @@ def arm_rays(file: Path, file_format: FileFormat) -> Rays:
     """
     return cfradial_rays(file, file_format, kind="arm")
 
+
+read_arm = by_rays(arm_rays)
 
 READER = Reader(
     name="arm",

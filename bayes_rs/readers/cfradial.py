@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.netcdf_group import Group
@@ -18,7 +17,6 @@ from bayes_rs.readers.netcdf_names import STANDARD_NAMES, VELOCITIES
 from bayes_rs.readers.ray_times import accumulation_time_of, times_of
 from bayes_rs.readers.ray_variables import join_rays, own_names, rays_from
 from bayes_rs.readers.rays import Rays
-from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.units import as_text
 
 NAMES = {"time": "time", "azimuth": "azimuth", "elevation": "elevation", "distance": "range"}
@@ -47,22 +45,6 @@ def velocities_in(group: Group) -> list[str]:
     by_standard = [name for name in group.variables if _standard_name(group, name) in STANDARD_NAMES]
     known = [name for name in VELOCITIES if name in group.variables and _COMPONENTS.get(name) not in group.names]
     return by_standard or known
-
-
-def read_cfradial(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `cfradial_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        cfradial_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def cfradial_rays(file: Path, file_format: FileFormat, *, kind: str = "cfradial") -> Rays:
@@ -164,6 +146,8 @@ def _others(group: Group) -> dict[str, str]:
 def _standard_name(group: Group, name: str) -> str:
     return as_text(group.attributes.get(name, {}).get("standard_name"))
 
+
+read_cfradial = by_rays(cfradial_rays)
 
 READER = Reader(
     name="cfradial",

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.netcdf_group import Group
 from bayes_rs.readers.ray_times import decode_times
 from bayes_rs.readers.ray_variables import own_names, rays_from
 from bayes_rs.readers.rays import Rays
-from bayes_rs.readers.samples import Samples
 from bayes_rs.stated_time import stated_times
 
 NAMES = {
@@ -48,22 +46,6 @@ def recognises_e_windlidar(file: Path) -> bool:
         return False
     return {"azimuth_angle", "elevation_angle", "range"} <= names and bool(
         names & {NAMES["radial_velocity"], OLD_VELOCITY}
-    )
-
-
-def read_e_windlidar(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `e_windlidar_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        e_windlidar_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
     )
 
 
@@ -167,6 +149,8 @@ def _accumulation_time(group: Group) -> FloatArray | None:
     except (KeyError, TypeError, ValueError):
         return None
 
+
+read_e_windlidar = by_rays(e_windlidar_rays)
 
 READER = Reader(
     name="e-windlidar",

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import GateRows, rays_of_rows
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.row_times import times_of_rays
-from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.text_lines import TextLines, read_lines, whole_rows
 
 SUFFIXES = (".scn",)
@@ -23,22 +21,6 @@ HEADINGS = ("range gate", "doppler", "intensity", "ray time", "az", "el", "pitch
 
 _MOST_LINES = 100  # of a header; those in use have six
 _GATE, _VELOCITY, _INTENSITY, _TIME, _AZIMUTH, _ELEVATION = range(6)
-
-
-def read_galion(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `galion_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        galion_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def galion_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -134,6 +116,8 @@ def _below_headings(lines: TextLines) -> int:
         "a Galion's .scn file."
     )
 
+
+read_galion = by_rays(galion_rays)
 
 READER = Reader(
     name="galion",

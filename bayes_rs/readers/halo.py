@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.rays import Rays, direction_of
-from bayes_rs.readers.samples import Samples
 from bayes_rs.stated_time import stated_times
 
 SUFFIXES = (".hpl",)
@@ -40,22 +38,6 @@ class _Header:
     n_line: int
     start: np.datetime64
     distance: FloatArray
-
-
-def read_halo(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `halo_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        halo_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def halo_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -233,6 +215,8 @@ def _times(hour: FloatArray, header: _Header, row: NDArray[np.int64], file: Path
     time: NDArray[np.datetime64] = day.astype("datetime64[ns]") + since
     return time
 
+
+read_halo = by_rays(halo_rays)
 
 READER = Reader(
     name="halo",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.rays import Rays, angles_of
 from bayes_rs.readers.samples import Samples
 
@@ -136,6 +138,31 @@ def facts_of_gates(scan: Scan, gates: FloatArray, wanted: FloatArray) -> dict[st
     """
     off = float(np.max(np.abs(gates - wanted), initial=0.0)) if isinstance(scan, RangedScan) else 0.0
     return {"gates_off": round(off, 3)} if off > SAME_GATE else {}
+
+
+def by_rays(rays: Callable[[Path, FileFormat], Rays]) -> Callable[[Path, Scan, FileFormat], Samples]:
+    """Return what reads the samples of a scan's beams from a file of which `rays` gives the rays.
+
+    Parameters
+    ----------
+    rays : callable
+        Returns the rays of a file.
+
+    Returns
+    -------
+    read : callable
+        Takes file, scan and options; raises InputError as `rays` does, and as `match_rays`.
+    """
+
+    def read(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
+        return match_rays(
+            rays(file, file_format),
+            scan,
+            angle_tolerance_deg=file_format.angle_tolerance_deg,
+            range_tolerance=file_format.range_tolerance,
+        )
+
+    return read
 
 
 def directions_in_words(direction: FloatArray, *, most: int = 8) -> str:

@@ -18,12 +18,11 @@ from bayes_rs.readers.entries import numbers
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.headings import Heading, unknown_unit
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import GateRows, check_angles, check_heights, counts_of, rays_of_rows
 from bayes_rs.readers.ray_headings import RayColumns, find_ray_columns, looks_like_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.readers.row_times import times_of_rays
-from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 from bayes_rs.readers.units import factor_to_degrees, factor_to_metres, velocity_unit_of
 
@@ -281,15 +280,7 @@ def _reader(name: str, **more: Any) -> Reader:
     def rays(file: Path, file_format: FileFormat) -> Rays:
         return ray_table_rays(file, file_format, kind=name)
 
-    def read(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-        return match_rays(
-            rays(file, file_format),
-            scan,
-            angle_tolerance_deg=file_format.angle_tolerance_deg,
-            range_tolerance=file_format.range_tolerance,
-        )
-
-    return Reader(name=name, suffixes=TABLE_SUFFIXES, read=read, rays=rays, **more)
+    return Reader(name=name, suffixes=TABLE_SUFFIXES, read=by_rays(rays), rays=rays, **more)
 
 
 MOLAS = _reader(

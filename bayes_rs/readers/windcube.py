@@ -6,17 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.cfradial import velocities_in
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.ray_times import accumulation_time_of, times_of
 from bayes_rs.readers.ray_variables import join_rays, own_names, rays_from
 from bayes_rs.readers.rays import Rays
-from bayes_rs.readers.samples import Samples
 
 NAMES = {
     "radial_velocity": "radial_wind_speed",
@@ -43,22 +41,6 @@ def recognises_windcube(file: Path) -> bool:
         return True
     others = {name for group in groups.values() for name in velocities_in(group)} - {NAMES["radial_velocity"]}
     return "sweep_group_name" in groups["/"].names and not others  # CfRadial 2 lists its groups, too
-
-
-def read_windcube(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `windcube_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        windcube_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -125,6 +107,8 @@ def windcube_rays(file: Path, file_format: FileFormat) -> Rays:
         )
     return join_rays(parts)
 
+
+read_windcube = by_rays(windcube_rays)
 
 READER = Reader(
     name="windcube",

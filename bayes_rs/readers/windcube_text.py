@@ -12,14 +12,12 @@ import numpy as np
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import as_zone
-from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import check_angles, counts_of
 from bayes_rs.readers.rays import Rays, direction_of
-from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.text_lines import TextLines, TextRows, read_lines, whole_rows
 
 SUFFIXES = (".rtd", ".stdrtd")
@@ -39,22 +37,6 @@ class _Header:
     fields: Mapping[str, str]
     headings: tuple[str, ...]
     n_line: int
-
-
-def read_windcube_text(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `windcube_text_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        windcube_text_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def windcube_text_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -247,6 +229,8 @@ def _duration(header: _Header) -> float:
         return np.nan
     return pulses / rate if pulses > 0.0 and rate > 0.0 else np.nan
 
+
+read_windcube_text = by_rays(windcube_text_rays)
 
 READER = Reader(
     name="windcube-text",

@@ -11,10 +11,9 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.interface import Reader
-from bayes_rs.readers.matching import match_rays
+from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import check_angles, counts_of
 from bayes_rs.readers.rays import Rays, direction_of
-from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.text_lines import first_line, read_lines, whole_rows
 
 SUFFIXES = (".txt", ".csv")
@@ -29,22 +28,6 @@ _LONGEST = 600.0  # s, of a ray
 def recognises_windscanner(file: Path, _scan: Scan, file_format: FileFormat) -> bool:
     """Say whether the first line has numbers only: two times since 1904, two angles, and four for each gate."""
     return _start_at(first_line(file), file_format.separator) is not None
-
-
-def read_windscanner(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
-    """Read the samples of a scan's beams from one file; see `windscanner_rays`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or no ray looks along a beam of the scan.
-    """
-    return match_rays(
-        windscanner_rays(file, file_format),
-        scan,
-        angle_tolerance_deg=file_format.angle_tolerance_deg,
-        range_tolerance=file_format.range_tolerance,
-    )
 
 
 def windscanner_rays(file: Path, file_format: FileFormat) -> Rays:
@@ -148,6 +131,8 @@ def _start_at(line: str, separator: str) -> int | None:
             return at
     return None
 
+
+read_windscanner = by_rays(windscanner_rays)
 
 READER = Reader(
     name="windscanner",
