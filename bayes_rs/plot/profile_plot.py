@@ -79,7 +79,7 @@ def _draw(axis: Axes, rows: pd.DataFrame, *, upright: bool) -> None:
     if rows["quantity"].iloc[0] in ("uv", "uw", "vw"):
         (axis.axvline if upright else axis.axhline)(0.0, color="0.6", linewidth=0.8, zorder=0)
     else:
-        (axis.set_xlim if upright else axis.set_ylim)(0.0, None)
+        (axis.set_xlim if upright else axis.set_ylim)(0.0, 1.06 * float(np.max(high)))
     axis.grid(alpha=0.3)
 
 

@@ -58,12 +58,11 @@ def render_ranges(found: RangedFit, links: Mapping[int, str], *, title: str | No
         shipped("template.html"),
         {
             "title": escape(title or f"Reynolds stresses at {len(found.ranges)} ranges, scan {scan}"),
-            "lead": _LEAD,
+            "lead": escape(f"{_LEAD} The scan {first.run['sight']}."),
             "key_numbers": pairs(
                 [
                     ("fitted", fitted),
                     ("scan", scan),
-                    ("sight", str(first.run["sight"])),
                     ("prior", str(first.run["prior_name"])),
                 ],
                 "key-numbers",
