@@ -50,7 +50,7 @@ check: $(VENV)/installed-check
 docs: $(VENV)/installed-docs
 	$(ENV) $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 
-# the benchmarks page, benchmarks/measured.md: about ten minutes on two quiet cores
+# the benchmarks page, benchmarks/measured.md: about half an hour on two quiet cores
 benchmarks: $(VENV)/installed-test
 	$(ENV) $(BIN)/python benchmarks/page.py
 

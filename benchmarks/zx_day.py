@@ -28,7 +28,6 @@ from bayes_rs.records.record_store import store_records
 from bayes_rs.records.stream import stream_records
 
 START = np.datetime64("2020-09-04", "ns")
-RECORDS = 144
 POSITIVE = "away"
 """As simulated, whatever the instrument's own files say."""
 
@@ -78,7 +77,7 @@ def main() -> None:
         )
 
 
-def write_day(file: Path, scan: brs.Scan) -> None:
+def write_day(file: Path, scan: brs.Scan, *, hours: int = 24) -> None:
     """Simulate a day, the same two hours of turbulence at another wind speed in turn, and write it as a long table."""
     file.parent.mkdir(parents=True, exist_ok=True)
     flow = brs.load_turbulence("fu-2022")
@@ -86,7 +85,7 @@ def write_day(file: Path, scan: brs.Scan) -> None:
     since = series["time"].values - series["time"].values[0].astype("datetime64[D]")
     part = file.with_suffix(".part")
     with part.open("wb") as sink:
-        for turn in range(RECORDS // 12):
+        for turn in range(hours // 2):
             columns = {
                 "time": START + turn * np.timedelta64(2, "h") + since,
                 "beam": series["beam"].values,
