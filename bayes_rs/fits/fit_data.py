@@ -37,6 +37,11 @@ class Tables(Protocol):
     ) -> pd.DataFrame:
         """Return a table, or some columns of it, of all records or of those in a range that holds the given ones."""
 
+    def pieces(
+        self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """Give the same of a table in parts, piece by piece, so that it is never in memory as a whole."""
+
 
 @dataclass(frozen=True)
 class MemoryTables:
@@ -58,6 +63,12 @@ class MemoryTables:
             ends = np.searchsorted(table["record"].to_numpy(), [records.min(), records.max() + 1])
             table = table.iloc[ends[0] : ends[1]]
         return table if columns is None else table[list(columns)]
+
+    def pieces(
+        self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """Give some columns of a table: it is in memory, and is one piece."""
+        yield self.read(dataset, columns, records)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +180,33 @@ class FitData:
                 else InputError(f"No table {dataset!r} of this fit: it has {', '.join(self.source.datasets)}.")
             )
         return self.source.read(dataset)
+
+    def of_stresses(self, *names: str, dataset: str = "summary") -> dict[str, FloatArray]:
+        """Return columns of the summary, each of shape (n_record, 6), without those of derived quantities.
+
+        The table is read piece by piece: of a million records a column takes 48 MB.
+        """
+        found = {name: np.empty((self.n_record, len(STRESSES))) for name in names}
+        n_row = len(STRESSES) + len(self.settings["fit"]["derived"])
+        first = 0
+        for piece in self.source.pieces(dataset, [*names]):
+            last = first + len(piece) // n_row
+            for name, values in found.items():
+                # the stresses come first of each record, in the order of STRESSES
+                values[first:last] = piece[name].to_numpy(dtype=np.float64).reshape(-1, n_row)[:, : len(STRESSES)]
+            first = last
+        return found
+
+    def of_records(self, *names: str) -> dict[str, FloatArray]:
+        """Return columns of the table ``posterior``, each of shape (n_record,), read piece by piece."""
+        found = {name: np.empty(self.n_record) for name in names}
+        first = 0
+        for piece in self.source.pieces("posterior", [*names]):
+            last = first + len(piece)
+            for name, values in found.items():
+                values[first:last] = piece[name].to_numpy(dtype=np.float64)
+            first = last
+        return found
 
     def covariance(self) -> FloatArray:
         """Return the posterior covariances of the stresses.

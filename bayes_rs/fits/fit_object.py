@@ -15,12 +15,12 @@ from bayes_rs._validation import as_items, check_choice, check_prob, check_switc
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
-from bayes_rs.fits.direction_table import direction_rows
+from bayes_rs.fits.direction_table import direction_medians, direction_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import GROUPS, attributes, group_of
 from bayes_rs.fits.summary_anew import summarize
-from bayes_rs.fits.words import describe, failure_lines, flag_lines, least_seen
+from bayes_rs.fits.words import DESCRIBED, describe, failure_lines, flag_lines, least_seen
 
 if TYPE_CHECKING:
     from bayes_rs.priors.campaign import CampaignPrior
@@ -223,6 +223,14 @@ class Fit(FitData):
         weight, vectors = (np.asarray(known[name], dtype=np.float64) for name in ("weight", "vectors"))
         return direction_rows(rows["record"].to_numpy(), weight, vectors, along, of_shape)
 
+    def direction_medians(self) -> pd.DataFrame:
+        """Return the table of `directions` of the median record, a row for each direction; NaN if none was fitted."""
+        found = self.of_records(*ALONG, *ALONG_SHAPE)
+        along, of_shape = (np.stack([found[name] for name in names], axis=1) for names in (ALONG, ALONG_SHAPE))
+        known = self.run["directions"]
+        weight, vectors = (np.asarray(known[name], dtype=np.float64) for name in ("weight", "vectors"))
+        return direction_medians(weight, vectors, along, of_shape)
+
     def lidar_frame(self) -> xr.DataArray:
         """Return the posterior's draws of the stresses in the frame of the levelled lidar.
 
@@ -281,12 +289,11 @@ class Fit(FitData):
     def words(self) -> list[str]:
         """What the scan sees, which prior it was, and what the data said beyond the prior, in lines."""
         run = self.run
-        learnt = self.source.read("posterior", ["record", "stresses_learnt"])["stresses_learnt"].to_numpy(
-            dtype=np.float64
-        )
-        table = self.source.read("summary")
-        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], table, learnt)
-        lines += least_seen(self.directions())
+        learnt = self.of_records("stresses_learnt")["stresses_learnt"]
+        summary = self.of_stresses(*DESCRIBED)
+        prob = float(self.settings["fit"]["prob"])
+        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], prob, summary, learnt)
+        lines += least_seen(self.direction_medians())
         if not self.has_campaign:
             return [*lines, *no_campaign_words(self.run["campaign"])]
         return [*lines, *campaign_words(self.run["campaign"], self.campaign())]
@@ -297,13 +304,13 @@ class Fit(FitData):
 
         Of many records, the first ones.
         """
-        known = [*self.run.get("doubts", []), *failure_lines(self.flag, self.record_names)]
+        known = [*self.run.get("doubts", []), *failure_lines(self.flag, self.time)]
         return [*known, *campaign_failures(self.run["campaign"])]
 
     @property
     def remarks(self) -> list[str]:
         """One line for each flag that some record has: how many have it, and the first; then what beams disagree."""
-        return [*flag_lines(self.flag, self.record_names), *self.run.get("beams", {}).get("words", [])]
+        return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", [])]
 
 
 def exported_summary(fit: Fit) -> pd.DataFrame:

@@ -95,10 +95,8 @@ def _bands(fit: Fit, prob: float) -> tuple[FloatArray, list[str]]:
             f"Invalid prob {prob:g}: this fit kept no draws, and its summary holds intervals of {own:g}; leave it out, "
             "or fit again with draws='float32'."
         )
-    table = fit.table("summary")
-    of_stresses = table[table["stress"].isin(STRESSES)]
-    columns = [of_stresses[name].to_numpy(dtype=np.float64) for name in ("low", "median", "high")]
-    return np.stack(columns).reshape(3, fit.n_record, len(STRESSES)), [f"{100 * prob:g} % interval, equal tails"]
+    columns = fit.of_stresses("low", "median", "high")
+    return np.stack(list(columns.values())), [f"{100 * prob:g} % interval, equal tails"]
 
 
 def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray) -> None:
