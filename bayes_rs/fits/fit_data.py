@@ -208,18 +208,28 @@ class FitData:
             first = last
         return found
 
-    def covariance(self) -> FloatArray:
+    def covariance(self, records: NDArray[np.int64] | None = None) -> FloatArray:
         """Return the posterior covariances of the stresses.
+
+        Parameters
+        ----------
+        records : ndarray of int, shape (n,), optional
+            Numbers of records, rising; by default all.
 
         Returns
         -------
         covariance : ndarray, shape (n_record, 6, 6)
             m⁴ s⁻⁴; NaN for records that were not fitted.
         """
-        rows = self.source.read("posterior", list(COVARIANCES))
-        matrix = np.empty((len(rows), len(STRESSES), len(STRESSES)))
-        for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True):
-            matrix[:, i, j] = matrix[:, j, i] = rows[name].to_numpy()
+        number = np.arange(self.n_record) if records is None else records
+        matrix = np.empty((len(number), len(STRESSES), len(STRESSES)))
+        first = 0
+        for piece in self.source.pieces("posterior", ["record", *COVARIANCES], records):
+            rows = piece if records is None else piece[np.isin(piece["record"].to_numpy(), records)]
+            last = first + len(rows)
+            for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True):
+                matrix[first:last, i, j] = matrix[first:last, j, i] = rows[name].to_numpy()
+            first = last
         return matrix
 
     def draws(self, record: int | str | None = None) -> FloatArray:
@@ -345,6 +355,11 @@ class FitData:
         if pd.isna(stamp):
             raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.")
         match = np.flatnonzero(self.time == stamp.to_datetime64())
+        if len(match) > 1:
+            first = ", ".join(map(str, match[:3].tolist()))
+            raise InputError(
+                f"{len(match)} records start at {record}, as those of several turbines do: give a number, as {first}."
+            )
         if len(match) == 0:
             first, last = (str(time)[:19] for time in self.time[[0, -1]])
             raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC).")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayes_rs._validation import as_items, check_choice, check_prob, check_switch
 from bayes_rs.errors import InputError
@@ -19,6 +20,8 @@ from bayes_rs.fits.direction_table import direction_medians, direction_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import GROUPS, attributes, group_of
+from bayes_rs.fits.selection import Selection, check_columns, selected_records
+from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
 from bayes_rs.fits.words import DESCRIBED, describe, failure_lines, flag_lines, least_seen
 
@@ -67,6 +70,8 @@ class Fit(FitData):
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
+        records: Selection | None = None,
+        columns: Sequence[str] | None = None,
     ) -> pd.DataFrame:
         """Summarize the posterior of every record.
 
@@ -85,6 +90,11 @@ class Fit(FitData):
         campaign : bool
             The records under the prior that the campaign has learnt, in place of the given one; of these no draws are
             kept.
+        records : int, slice or array_like, optional
+            Only these records: numbers, a slice of numbers or of starts as ISO times (UTC, the end left out), or a
+            truth value for each record, as ``fit.records["turbine"] == "T07"``. Only their parts are read.
+        columns : sequence of str, optional
+            Only these columns, in this order.
 
         Returns
         -------
@@ -98,11 +108,13 @@ class Fit(FitData):
         Raises
         ------
         InputError
-            If prob is not between 0 and 1, a derived quantity or the frame is not known, or draws are needed and were
-            not kept.
+            If prob is not between 0 and 1, a derived quantity, the frame or a column is not known, the records are none
+            of the fit's, or draws are needed and were not kept.
 
         Notes
         -----
+        The whole summary of a million records takes 1.3 GB; with `records` and `columns` it takes what is asked for.
+
         ``decided`` is the share of a stress that the data decided: 0, it is the prior's; 1, the data's. It is 1 less
         the weight that the prior has in the estimate: how far the estimate moves when the prior's centre moves, over
         the room that the prior leaves the stress when the size of the turbulence is known (`what_data_decided`). That
@@ -126,9 +138,27 @@ class Fit(FitData):
                 "Of the records under the campaign no draws are kept: their summary has the intervals, quantities and "
                 "axes of the fit; leave prob, derived and frame out."
             )
+        chosen = None if records is None else selected_records(records, self.n_record, lambda: self.time)
+        shown = COLUMNS if columns is None else check_columns(columns)
         if as_made:
-            return self._campaign_table(SUMMARY) if campaign else self.source.read("summary")
-        return summarize(self, own["prob"] if prob is None else prob, wanted, frame)
+            if campaign:
+                self._campaign_table(TABLE, [])  # says why there is none
+            return self._of_table(SUMMARY if campaign else "summary", chosen, shown)
+        table = summarize(self, own["prob"] if prob is None else prob, wanted, frame)
+        if chosen is not None:
+            table = table[np.isin(table["record"].to_numpy(), chosen)].reset_index(drop=True)
+        return table[list(shown)]
+
+    def _of_table(self, dataset: str, chosen: NDArray[np.int64] | None, columns: Sequence[str]) -> pd.DataFrame:
+        """Return columns of a summary as it was made, of some records."""
+        if chosen is None:
+            return self.source.read(dataset, None if columns is COLUMNS else columns)
+        read = list(dict.fromkeys(("record", *columns)))
+        pieces = [
+            piece[np.isin(piece["record"].to_numpy(), chosen)]
+            for piece in self.source.pieces(dataset, read, chosen if len(chosen) else None)
+        ]
+        return pd.concat(pieces, ignore_index=True)[list(columns)]
 
     def campaign(self) -> pd.DataFrame:
         """Return what all records together say of the campaign.
