@@ -103,7 +103,8 @@ def write_ranges(place: Path, count: int, n_range: int) -> list[str]:
     ]
     distance = np.linspace(40.0, 220.0, n_range)
     records = xr.concat(parts, dim=xr.DataArray(distance, dims="range", attrs={"units": "m"}, name="range"))
-    records["focus_distance"] = (("range", "beam"), np.repeat(distance[:, None], scan.n_beam, axis=1), {"units": "m"})
+    each_beam = np.repeat(distance[:, None], scan.n_beam, axis=1)
+    records = records.assign_coords(focus_distance=(("range", "beam"), each_beam, {"units": "m"}))
     file = str(place / "ranges.nc")
     records.to_netcdf(file, engine="h5netcdf")
     return [file]
