@@ -1,6 +1,7 @@
 """Fleets: the records of many turbines in one fit, long fits in long parts, and what is read of them at a time."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -131,6 +132,31 @@ class TestTurbines:
         assert 'id="turbines"' in page
         for name in TURBINES:
             assert f'<th scope="row">{name}</th><td class="number">6</td>' in page or f">{name}</th>" in page
+
+
+class TestMonths:
+    """A part that holds the end of one turbine and the start of the next has its later months first."""
+
+    @pytest.fixture
+    def months(self, turbines, tmp_path, monkeypatch):
+        monkeypatch.setattr(plan, "PART_RECORDS", 5)
+        start = np.datetime64("2020-01-31T23:30", "ns") + np.arange(N_EACH) * np.timedelta64(600, "s")
+        moved = [records.assign_coords(time=("record", start)) for records in turbines]
+        fleet = xr.concat(moved, dim="record", data_vars="minimal", coords="minimal", compat="override")
+        options = {**PLAIN, "draws": "float64", "campaign": "on"}
+        return fit(fleet, SCAN, **options), fit_to(fleet, SCAN, tmp_path / "out", **options)
+
+    def test_tables_are_in_the_order_of_the_records(self, months):
+        memory, folder = months
+        names = [file.parent.name for file in sorted((Path(folder.place) / "summary").rglob("*-000001.parquet"))]
+        assert names == ["month=2020-01", "month=2020-02"]
+        for name in ("summary", "posterior", "draws", "predicted", "campaign_summary", "campaign"):
+            same(folder.table(name), memory.table(name))
+        for name, values in memory.of_stresses("mean", "low").items():
+            np.testing.assert_array_equal(folder.of_stresses(name)[name], values)
+        np.testing.assert_array_equal(folder.covariance(), memory.covariance())
+        np.testing.assert_array_equal(folder.draws(7), memory.draws(7))
+        same(folder.summary(records=[4, 6, 7]), memory.summary(records=[4, 6, 7]))
 
 
 class TestLongFits:

@@ -125,11 +125,15 @@ class FolderTables:
             numbers = np.unique(records // size)
             names = [name for index in numbers.tolist() for name in self._of_part[dataset].get(index, [])]
             expected = np.concatenate([expected[index * size : (index + 1) * size] for index in numbers.tolist()])
-        if columns is not None:
-            layout = {name: layout[name] for name in columns}
-        table = read_table(self.folder, names, layout) if names else pd.DataFrame(columns=list(layout))
+        wanted = list(layout) if columns is None else list(columns)
+        of_months = any(len(files) > 1 for files in self._of_part[dataset].values())
+        read = {name: layout[name] for name in dict.fromkeys([*wanted, *(["record"] if of_months else [])])}
+        table = read_table(self.folder, names, read) if names else pd.DataFrame(columns=list(read))
+        if of_months and not table["record"].is_monotonic_increasing:
+            # a part of two turbines may begin with a later month than it ends with; its files are in the months' order
+            table = table.sort_values("record", kind="stable", ignore_index=True)
         self._check_rows(dataset, table, expected)
-        return table
+        return table if list(table.columns) == wanted else table[wanted]
 
     def pieces(
         self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
