@@ -156,12 +156,12 @@ class TestNumbers:
     def test_covariances_are_those_of_the_draws(self, full, with_draws):
         flat_draws = open_fit(full).draws(1).reshape(-1, 6)
         np.testing.assert_allclose(
-            report_of(full).covariance[1], np.cov(flat_draws, rowvar=False), rtol=1e-12, atol=1e-15
+            report_of(full).covariance()[1], np.cov(flat_draws, rowvar=False), rtol=1e-12, atol=1e-15
         )
         found = report_of(with_draws)
         every = found.draws(10**6)[3]
         every = every[np.isfinite(every).all(axis=1)]
-        np.testing.assert_allclose(found.covariance[3], np.cov(every, rowvar=False), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.covariance()[3], np.cov(every, rowvar=False), rtol=1e-9, atol=1e-12)
 
     def test_the_page_holds_the_numbers_of_each_record(self, full, full_page):
         found, data = report_of(full), data_of(full_page)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,13 +100,13 @@ class Evidence:
     together: Scores | None
     tilt: tuple[float, float] | None
 
-    @property
+    @cached_property
     def p_square(self) -> FloatArray:
         """Probability of so large a χ², shape (n_record,); NaN without data."""
         tail = chdtrc(np.maximum(self.count, 1), self.square / self.square_excess)
         return np.where(self.count > 1, tail, np.nan)
 
-    @property
+    @cached_property
     def p_pattern(self) -> FloatArray:
         """Probability of so large a score of any pattern, shape (n_record,); NaN without data."""
         tail = largest_tail(self.score / np.sqrt(self.excess), self.independent)
@@ -150,13 +151,13 @@ class BeamCheck:
     patterns: Patterns
     level: float = LEVEL
 
-    @property
+    @cached_property
     def disagree(self) -> NDArray[np.bool_]:
         """Which records have beams that disagree, shape (n_record,)."""
         with np.errstate(invalid="ignore"):
             return np.asarray((self.probability < self.level) | self.exchanged)
 
-    @property
+    @cached_property
     def exchanged(self) -> NDArray[np.bool_]:
         """Which records fit clearly better with two beams exchanged, shape (n_record,)."""
         return np.asarray(self.exchange[:, 2] > self.exchange_limit)

@@ -108,7 +108,10 @@ class CheckWords:
     @property
     def records(self) -> NDArray[np.object_]:
         """What is wrong with each record, shape (n_record,); empty where nothing is."""
-        return np.array([self.of_record(index) for index in range(len(self.check.misfit))], dtype=object)
+        words = np.full(len(self.check.misfit), "", dtype=object)
+        for index in np.flatnonzero(self.check.disagree).tolist():
+            words[index] = self.of_record(index)
+        return words
 
     def of_all(self) -> list[str]:
         """Say what all records together show, in lines; none where nothing is wrong."""

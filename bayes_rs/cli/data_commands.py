@@ -33,14 +33,20 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
 @settings_options("scan", "files", "records", "quality", "output", only={"output": ("workers",)})
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="NetCDF file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-def records(files: tuple[str, ...], output: Path, overwrite: bool, **options: Any) -> None:
+@click.option(
+    "--turbine",
+    metavar="NAME",
+    help="Name of the turbine or lidar, which is kept with its records: `fit` takes those of many together.",
+)
+def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str | None, **options: Any) -> None:
     """Make records, one variance per beam and averaging period, from files of radial velocities."""
     from bayes_rs.output import output_file, write_netcdf
+    from bayes_rs.records.layout import with_turbine
 
     settings = settings_of(files, options)
     with output_file(output, overwrite=overwrite) as part:
         made, _ = records_and_scan(settings)
-        write_netcdf(made, part)
+        write_netcdf(made if turbine is None else with_turbine(made, turbine), part)
     ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
     click.echo(f"{made.sizes['record']} records{ranges} in {output}")
     exit_if_doubtful(made)

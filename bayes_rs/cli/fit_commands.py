@@ -55,7 +55,8 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     if not settings.output.resume:
         check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
     named = settings.scan.scan != AUTO or settings.scan.scan_toml is not None
-    if settings.files.files and named and open_record_files(settings.files.files, settings.scan.load()) is not None:
+    # the first tells what they are: a fleet has a hundred
+    if settings.files.files and named and open_record_files(settings.files.files[:1], settings.scan.load()) is not None:
         refuse_for_records(settings.files.files)
     if save_settings is not None:
         if Path(save_settings).exists():

@@ -49,18 +49,18 @@ class CampaignJob:
     Parameters
     ----------
     batch : Batch
-        All records of the fit.
-    time : ndarray, shape (n_record,)
-        Their starts.
-    record : ndarray of int
-        Numbers of those that enter.
-    mean : ndarray, shape (n_record, 6)
-        Posterior means of the stresses under the given prior, m² s⁻²; NaN for records that were not fitted.
+        The records that are sampled.
+    chosen : ndarray of int
+        Their places among the records that enter.
+    wind_speed : ndarray, shape (n,)
+        Mean wind speeds of all records that enter, m/s.
+    mean : ndarray, shape (n, 6)
+        Posterior means of their stresses under the given prior, m² s⁻².
     """
 
     batch: Batch
-    time: NDArray[np.datetime64]
-    record: NDArray[np.int64]
+    chosen: NDArray[np.int64]
+    wind_speed: FloatArray
     mean: FloatArray
 
 
@@ -88,36 +88,44 @@ def campaign_off(chosen: CampaignRecords) -> dict[str, Any]:
     return {"on": False, "why": chosen.why_not}
 
 
-def job_of(parts: Sequence[Part], chosen: CampaignRecords, mean: FloatArray) -> CampaignJob:
-    """Return what the campaign of the records of all parts is learnt from."""
-    batch = join_batches([part.batch for part in parts])
-    return CampaignJob(batch, np.concatenate([part.time for part in parts]), chosen.record, mean)
+def job_of(parts: Sequence[Part], chosen: CampaignRecords, mean: FloatArray, seed: int) -> CampaignJob:
+    """Return what the campaign is learnt from; `mean` are the means of the records of all parts, (n_record, 6)."""
+    wind_speed = np.concatenate([part.batch.wind_speed for part in parts])[chosen.record]
+    some = choose_records(wind_speed, MOST_RECORDS, seed)
+    number, first = chosen.record[some], 0
+    batches = []
+    for part in parts:  # those that are sampled are few: only they are copied
+        last = first + len(part.batch)
+        own = number[(number >= first) & (number < last)] - first
+        if len(own):
+            batches.append(part.batch.take(own))
+        first = last
+    return CampaignJob(join_batches(batches), some, wind_speed, mean[chosen.record])
 
 
 def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
     """Sample the campaign."""
-    options, batch = shared.options, job.batch.take(job.record)
-    chosen = choose_records(batch.wind_speed, MOST_RECORDS, options.seed)
-    known, posterior = campaign_posterior(batch.take(chosen), shared.noise, options)
-    chosen = chosen[known]
+    options = shared.options
+    known, posterior = campaign_posterior(job.batch, shared.noise, options)
+    batch, chosen = job.batch.take(known), job.chosen[known]
     found = sample_campaign(
         posterior,
-        batch.wind_speed[chosen],
-        group=None if batch.group is None else batch.group[chosen].tolist(),
+        batch.wind_speed,
+        group=None if batch.group is None else batch.group.tolist(),
         seed=options.seed,
     )
     table = campaign_table(
         found,
         prob=options.prob,
-        wind_speed=batch.wind_speed,
-        stress_mean=job.mean[job.record],
+        wind_speed=job.wind_speed,
+        stress_mean=job.mean,
         chosen=chosen,
-        offset_sd=None if batch.noise_common_sd is None else batch.noise_common_sd[chosen],
+        offset_sd=batch.noise_common_sd,
         seed=options.seed,
     )
     about = {
         "on": True,
-        "n_record": len(batch),
+        "n_record": len(job.wind_speed),
         "n_sampled": len(chosen),
         "n_sweep": int(found.n_sweep),
         "acceptance": {name: round(float(share), 4) for name, share in found.acceptance.items()},

@@ -84,7 +84,9 @@ def campaign_in_memory(plan: Plan, tables: dict[str, pd.DataFrame], crew: Crew) 
     return Campaign(found.about, {SUMMARY: summary, **found.tables}, found.prior)
 
 
-def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.DataFrame], crew: Crew) -> Campaign:
+def campaign_in_folder(
+    folder: ResultFolder, plan: Plan, flag: NDArray[np.int64], means: Callable[[], FloatArray], crew: Crew
+) -> Campaign:
     """Learn the campaign of a fit whose parts are all in a folder, and fit them under its prior, as far as is left.
 
     Parameters
@@ -93,8 +95,10 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
         The folder.
     plan : Plan
         What the fit does.
-    read : callable
-        Reads a table of the folder, or some columns of it.
+    flag : ndarray of int, shape (n_record,)
+        Flags of the records after the fit.
+    means : callable
+        Returns the posterior means of the stresses, shape (n_record, 6).
     crew : Crew
         Who does the work.
 
@@ -103,12 +107,11 @@ def campaign_in_folder(folder: ResultFolder, plan: Plan, read: Callable[..., pd.
     campaign : Campaign
         Without its tables, which are in the folder.
     """
-    flag = read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
     chosen = campaign_records(flag, plan.shared.options)
     if not len(chosen.record):
         return Campaign(campaign_off(chosen))
     if any(folder.damage(name) for name in FILES):
-        _write(folder, _learn(plan, chosen, _means(read("summary", ["record", "stress", "mean"])), crew))
+        _write(folder, _learn(plan, chosen, means(), crew))
     what = f"File {str(folder.path / ABOUT_FILE)!r}"
     about = read_json(AboutCampaign, folder.read(ABOUT_FILE), what=what, advice=ADVICE)
     prior = load_campaign_prior(folder.checked(PRIOR_FILE))
@@ -140,7 +143,7 @@ def _write(folder: ResultFolder, learnt: CampaignDone) -> None:
 
 
 def _learn(plan: Plan, chosen: CampaignRecords, mean: FloatArray, crew: Crew) -> CampaignDone:
-    job = job_of(plan.parts, chosen, mean)
+    job = job_of(plan.parts, chosen, mean, plan.shared.options.seed)
     with progress_counter(1, "learning the campaign", " campaign", disable=crew.silent):
         # with one thread, as the parts: the same numbers whatever the cores
         (done,) = run_serial(learn_campaign, plan.shared, [job])

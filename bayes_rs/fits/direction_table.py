@@ -44,6 +44,26 @@ def direction_rows(
     )
 
 
+def direction_medians(
+    weight: FloatArray, vectors: FloatArray, contraction: FloatArray, of_shape: FloatArray
+) -> pd.DataFrame:
+    """Return the table of the median record: a row for each direction, in their order; NaN if none was fitted."""
+    return pd.DataFrame(
+        {
+            "weight": weight,
+            "contraction": median_of_known(contraction),
+            "contraction_shape": median_of_known(of_shape),
+            **{name: vectors[:, index] for index, name in enumerate(STRESSES)},
+        }
+    )
+
+
+def median_of_known(values: FloatArray) -> FloatArray:
+    """Return the median of the numbers of each column (n_record, n); NaN where a column has none."""
+    found = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in found])
+
+
 def prior_covariances(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the covariances, each (6, 6), of draws of a prior (n, 6) and of their shape."""
     return np.cov(draws, rowvar=False, bias=True), np.cov(_shape(draws), rowvar=False, bias=True)

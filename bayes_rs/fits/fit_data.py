@@ -37,6 +37,11 @@ class Tables(Protocol):
     ) -> pd.DataFrame:
         """Return a table, or some columns of it, of all records or of those in a range that holds the given ones."""
 
+    def pieces(
+        self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """Give the same of a table in parts, piece by piece, so that it is never in memory as a whole."""
+
 
 @dataclass(frozen=True)
 class MemoryTables:
@@ -58,6 +63,12 @@ class MemoryTables:
             ends = np.searchsorted(table["record"].to_numpy(), [records.min(), records.max() + 1])
             table = table.iloc[ends[0] : ends[1]]
         return table if columns is None else table[list(columns)]
+
+    def pieces(
+        self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """Give some columns of a table: it is in memory, and is one piece."""
+        yield self.read(dataset, columns, records)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,18 +181,55 @@ class FitData:
             )
         return self.source.read(dataset)
 
-    def covariance(self) -> FloatArray:
+    def of_stresses(self, *names: str, dataset: str = "summary") -> dict[str, FloatArray]:
+        """Return columns of the summary, each of shape (n_record, 6), without those of derived quantities.
+
+        The table is read piece by piece: of a million records a column takes 48 MB.
+        """
+        found = {name: np.empty((self.n_record, len(STRESSES))) for name in names}
+        n_row = len(STRESSES) + len(self.settings["fit"]["derived"])
+        first = 0
+        for piece in self.source.pieces(dataset, [*names]):
+            last = first + len(piece) // n_row
+            for name, values in found.items():
+                # the stresses come first of each record, in the order of STRESSES
+                values[first:last] = piece[name].to_numpy(dtype=np.float64).reshape(-1, n_row)[:, : len(STRESSES)]
+            first = last
+        return found
+
+    def of_records(self, *names: str) -> dict[str, FloatArray]:
+        """Return columns of the table ``posterior``, each of shape (n_record,), read piece by piece."""
+        found = {name: np.empty(self.n_record) for name in names}
+        first = 0
+        for piece in self.source.pieces("posterior", [*names]):
+            last = first + len(piece)
+            for name, values in found.items():
+                values[first:last] = piece[name].to_numpy(dtype=np.float64)
+            first = last
+        return found
+
+    def covariance(self, records: NDArray[np.int64] | None = None) -> FloatArray:
         """Return the posterior covariances of the stresses.
+
+        Parameters
+        ----------
+        records : ndarray of int, shape (n,), optional
+            Numbers of records, rising; by default all.
 
         Returns
         -------
         covariance : ndarray, shape (n_record, 6, 6)
             m⁴ s⁻⁴; NaN for records that were not fitted.
         """
-        rows = self.source.read("posterior", list(COVARIANCES))
-        matrix = np.empty((len(rows), len(STRESSES), len(STRESSES)))
-        for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True):
-            matrix[:, i, j] = matrix[:, j, i] = rows[name].to_numpy()
+        number = np.arange(self.n_record) if records is None else records
+        matrix = np.empty((len(number), len(STRESSES), len(STRESSES)))
+        first = 0
+        for piece in self.source.pieces("posterior", ["record", *COVARIANCES], records):
+            rows = piece if records is None else piece[np.isin(piece["record"].to_numpy(), records)]
+            last = first + len(rows)
+            for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True):
+                matrix[first:last, i, j] = matrix[first:last, j, i] = rows[name].to_numpy()
+            first = last
         return matrix
 
     def draws(self, record: int | str | None = None) -> FloatArray:
@@ -307,6 +355,11 @@ class FitData:
         if pd.isna(stamp):
             raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.")
         match = np.flatnonzero(self.time == stamp.to_datetime64())
+        if len(match) > 1:
+            first = ", ".join(map(str, match[:3].tolist()))
+            raise InputError(
+                f"{len(match)} records start at {record}, as those of several turbines do: give a number, as {first}."
+            )
         if len(match) == 0:
             first, last = (str(time)[:19] for time in self.time[[0, -1]])
             raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC).")

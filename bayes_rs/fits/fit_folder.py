@@ -124,9 +124,10 @@ def fit_into(
                 n_done += len(done.tables["posterior"])
                 bar.update(len(done.tables["posterior"]))
         checked = checked_run(run, str(folder.path / RUN_FILE))
-        tables = FolderTables(folder, checked, plan.scan.beam.tolist())
+        fitted = _fit_in(folder, run, checked, plan.scan, str(folder.path))
         try:
-            run["campaign"] = campaign_in_folder(folder, plan, tables.read, Crew(workers, client, silent)).about
+            crew = Crew(workers, client, silent)
+            run["campaign"] = campaign_in_folder(folder, plan, fitted.flag, partial(_means, fitted), crew).about
         except (InputError, OSError):
             folder.check_whole()  # a part that went while the others were made is named as lost
             raise
@@ -301,6 +302,11 @@ def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
     for dataset, table in done.tables.items():
         for name, rows in names_of_part(dataset, part.index, part.time):
             write_table(folder, name, table if rows.all() else table[table["record"].isin(part.record[rows])])
+
+
+def _means(fitted: Fit) -> FloatArray:
+    """Return the posterior means of the stresses, shape (n_record, 6)."""
+    return fitted.of_stresses("mean")["mean"]
 
 
 def _write_exports(folder: ResultFolder, found: Fit) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -62,6 +63,9 @@ _CAMPAIGN = {
         "r_hat": "number",
     },
 }
+_PART = re.compile(r"part-(\d+)\.parquet")
+_AT_ONCE = 16_384
+"""Records of which a table is in memory at a time, where it is read piece by piece."""
 _WHOLE = (*STRESSES, "ti", "ti_p90")
 """Quantities that a campaign has over all its records."""
 
@@ -91,6 +95,17 @@ class FolderTables:
         found |= {dataset: [name] for dataset, name in campaign_stage.TABLE_FILES.items() if name in here}
         return {dataset: names for dataset, names in found.items() if names}
 
+    @cached_property
+    def _of_part(self) -> dict[str, dict[int, list[str]]]:
+        """The files of each part of each table, in the order of their months."""
+        found: dict[str, dict[int, list[str]]] = {}
+        for dataset, names in self._names.items():
+            of_part = found.setdefault(dataset, {})
+            for name in names if dataset not in _CAMPAIGN else ():
+                if (part := _PART.fullmatch(name.rsplit("/", 1)[-1])) is not None:
+                    of_part.setdefault(int(part[1]), []).append(name)
+        return found
+
     @property
     def datasets(self) -> tuple[str, ...]:
         """Names of the tables that there are."""
@@ -102,21 +117,33 @@ class FolderTables:
         """Return a table, or some columns of it, of all records or of those of the parts that hold the given ones."""
         if dataset not in self._names:
             raise self._fault(dataset, "is missing")
-        names = self._names[dataset]
         if dataset in _CAMPAIGN:
-            return self._of_campaign(dataset, names[0], columns)
+            return self._of_campaign(dataset, self._names[dataset][0], columns)
         layout = self._layout(dataset)
-        expected, size = np.arange(self.run.n_record), self.run.part_records
+        expected, size, names = np.arange(self.run.n_record), self.run.part_records, self._names[dataset]
         if records is not None and len(records):
             numbers = np.unique(records // size)
-            parts = {f"part-{index:06d}.parquet" for index in numbers.tolist()}
-            names = [name for name in names if name.rsplit("/", 1)[-1] in parts]
-            expected = expected[np.isin(expected // size, numbers)]
-        if columns is not None:
-            layout = {name: layout[name] for name in columns}
-        table = read_table(self.folder, names, layout) if names else pd.DataFrame(columns=list(layout))
+            names = [name for index in numbers.tolist() for name in self._of_part[dataset].get(index, [])]
+            expected = np.concatenate([expected[index * size : (index + 1) * size] for index in numbers.tolist()])
+        wanted = list(layout) if columns is None else list(columns)
+        of_months = any(len(files) > 1 for files in self._of_part[dataset].values())
+        read = {name: layout[name] for name in dict.fromkeys([*wanted, *(["record"] if of_months else [])])}
+        table = read_table(self.folder, names, read) if names else pd.DataFrame(columns=list(read))
+        if of_months and not table["record"].is_monotonic_increasing:
+            # a part of two turbines may begin with a later month than it ends with; its files are in the months' order
+            table = table.sort_values("record", kind="stable", ignore_index=True)
         self._check_rows(dataset, table, expected)
-        return table
+        return table if list(table.columns) == wanted else table[wanted]
+
+    def pieces(
+        self, dataset: str, columns: Sequence[str], records: NDArray[np.int64] | None = None
+    ) -> Iterator[pd.DataFrame]:
+        """Give some columns of a table, of all records or of the parts that hold the given ones, piece by piece."""
+        size = self.run.part_records
+        wanted = np.arange(-(-self.run.n_record // size)) if records is None else np.unique(records // size)
+        at_once = max(1, _AT_ONCE // size)
+        for first in range(0, len(wanted), at_once):
+            yield self.read(dataset, columns, wanted[first : first + at_once] * size)
 
     def _layout(self, dataset: str) -> dict[str, str]:
         if dataset == "posterior":
@@ -155,7 +182,8 @@ class FolderTables:
         else:
             names = np.array([*STRESSES, *self.run.settings.fit.derived], dtype=object)
             record = np.repeat(expected, len(names))
-            if "stress" in table and table["stress"].tolist() != np.tile(names, len(expected)).tolist():
+            there = table["stress"].to_numpy(dtype=object) if "stress" in table else None
+            if there is not None and (len(there) % len(names) or not np.all(there.reshape(-1, len(names)) == names)):
                 raise self._fault(dataset, "has other rows than one for each record and quantity, in their order")
         if len(table) != len(record):
             raise self._fault(dataset, f"has {len(table)} rows, and must have {len(record)}")

@@ -38,6 +38,8 @@ LAYOUT = 4
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
 PART_RECORDS = 128
 """Records of a part: what each worker loses at most when a run is interrupted."""
+LONG_FIT, LONG_PART = 20_000, 8
+"""Records from which on parts are so many times as long: a million records are then a few thousand files."""
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
 PRIOR_SEED = 0
@@ -57,7 +59,7 @@ class Plan:
     shared : Shared
         What all parts need.
     parts : list of Part
-        The records, `PART_RECORDS` at a time.
+        The records, `part_size` at a time.
     prior_draws : ndarray, shape (n, 6)
         Draws of the prior, m² s⁻².
     scan : Scan
@@ -116,12 +118,13 @@ def plan_fit(
     scan, noise, batch = prepare(records, scan, noise, options)
     check_draws(len(batch), noise.n_beam, options, in_folder=in_folder)
     beams = record_beams(records, scan, noise, batch, options)
-    parts = _parts(records, batch, beams)
+    size = part_size(len(batch), options)
+    parts = _parts(records, batch, beams, size)
     key_parts = digest_parts(
         **version_parts(),
         scan=scan.key,
         **inputs,
-        part_records=PART_RECORDS,
+        part_records=size,
         **option_parts(options),
     )
     prior = options.made_prior
@@ -157,13 +160,18 @@ def plan_fit(
         "nuisance_names": list(options.nuisances.names),
         "doubts": doubt_lines(records),
         "n_record": len(batch),
-        "part_records": PART_RECORDS,
+        "part_records": size,
         "n_chain": N_CHAIN,
         "n_draw": n_kept(options),
         "n_predicted": n_kept(options) // BLOCK,
         "beams": beams.numbers,
     }
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
+
+
+def part_size(n_record: int, options: FitOptions) -> int:
+    """Return how many records a part has: more in a long fit, unless draws are kept, which are many times as large."""
+    return PART_RECORDS * (1 if n_record < LONG_FIT or options.keeps_draws(n_record) else LONG_PART)
 
 
 def with_settings(plan: Plan, **sections: Any) -> Plan:
@@ -237,11 +245,11 @@ def noise_summary(noise: Noise) -> dict[str, Any]:
     }
 
 
-def _parts(records: xr.Dataset, batch: Batch, beams: RecordBeams) -> list[Part]:
+def _parts(records: xr.Dataset, batch: Batch, beams: RecordBeams, size: int) -> list[Part]:
     flag = flags_before(records, batch.used, can_be_fitted(batch)) | FLAGS["beams_disagree"] * beams.disagree
     number = np.arange(len(batch))
     start = starts(records)
-    slices = [slice(first, first + PART_RECORDS) for first in range(0, len(batch), PART_RECORDS)]
+    slices = [slice(first, first + size) for first in range(0, len(batch), size)]
     return [
         Part(i, batch.take(rows), number[rows], start[rows], flag[rows], beams.columns(rows))
         for i, rows in enumerate(slices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -19,7 +20,7 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.records.layout import check_layout
+from bayes_rs.records.layout import TURBINE, check_layout
 from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, mean_of_used
 
 LEAST_NOISE = 0.5
@@ -203,9 +204,20 @@ def _check_duration(records: xr.Dataset, noise: Noise) -> None:
 
 
 def _stream_keys(records: xr.Dataset) -> NDArray[np.int64]:
-    """Return what makes each record's random stream its own: its start, or its number where there is no time."""
+    """Return what makes each record's random stream its own: its start, or its number where there is no time.
+
+    Of a fleet it is the start and the turbine's name: a turbine's numbers do not depend on those beside it.
+    """
     if "time" in records.coords and np.issubdtype(records["time"].dtype, np.datetime64):
         starts = records["time"].values.astype("datetime64[ns]").astype(np.int64)
+        if TURBINE in records:
+            names, place = np.unique(records[TURBINE].values.astype(str), return_inverse=True)
+            starts = starts ^ np.array([_key_of(name) for name in names.tolist()], dtype=np.int64)[place]
         if len(np.unique(starts)) == len(starts):
             return starts
     return np.arange(records.sizes["record"], dtype=np.int64)
+
+
+def _key_of(name: str) -> int:
+    """Return a whole number from 0 below 2^62 for a name, the same everywhere."""
+    return int.from_bytes(hashlib.sha256(name.encode("utf-8")).digest()[:8], "little") >> 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,6 +16,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.groups import GROUPS
+from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.priors.campaign import CampaignPrior
@@ -54,6 +55,16 @@ class TablesOfRanges:
             Always.
         """
         raise _of_one(self.ranges)
+
+    def pieces(self, dataset: str, columns: Any, records: Any = None) -> Iterator[pd.DataFrame]:
+        """Refuse: a table is of one range.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        yield self.read(dataset, columns, records)
 
 
 def _of_one(ranges: Sequence[float]) -> InputError:
@@ -185,12 +196,14 @@ class RangedFit(Fit):
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
+        records: Selection | None = None,
+        columns: Sequence[str] | None = None,
     ) -> pd.DataFrame:
         """Summarize the posterior of every record at every range.
 
         Parameters
         ----------
-        prob, derived, frame, campaign
+        prob, derived, frame, campaign, records, columns
             As for `Fit.summary`.
 
         Returns
@@ -204,7 +217,11 @@ class RangedFit(Fit):
         InputError
             As `Fit.summary`.
         """
-        return self._together(lambda own: own.summary(prob=prob, derived=derived, frame=frame, campaign=campaign))
+        return self._together(
+            lambda own: own.summary(
+                prob=prob, derived=derived, frame=frame, campaign=campaign, records=records, columns=columns
+            )
+        )
 
     def profile(self, record: int | str | None = None) -> pd.DataFrame:
         """Return the profile of stresses and turbulence intensity: what all records of each range say together.
@@ -410,8 +427,8 @@ def _record_of(fit: Fit, record: int | str) -> pd.DataFrame:
         number = fit.find_record(record)
     except InputError:
         return pd.DataFrame()
-    table = _with_intensity(fit)
-    rows = table[table["record"] == number].set_index("stress").loc[list(_QUANTITIES)].reset_index()
+    table = _with_intensity(fit, number)
+    rows = table.set_index("stress").loc[list(_QUANTITIES)].reset_index()
     rows = rows.rename(columns={"stress": "quantity", "median": "estimate"})
     return rows[list(_COLUMNS[:-2])].assign(n_record=1, of="record").reset_index(drop=True)
 
@@ -429,9 +446,9 @@ def _profile_of(fit: Fit) -> pd.DataFrame:
     return rows.assign(prob=prob, n_record=fit.n_fitted, of="median record")[list(_COLUMNS)]
 
 
-def _with_intensity(fit: Fit) -> pd.DataFrame:
+def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
     """Return the summary's rows of the stresses, and of the turbulence intensity, σ_u/U, of the same quantiles."""
-    table = fit.summary()
+    table = fit.summary(records=record, columns=["record", "stress", "median", "low", "high", "prob", "decided"])
     table = table[table["stress"].isin(STRESSES)]
     speed = fit.records["wind_speed"].values.astype(np.float64)
     ends = ["median", "low", "high"]

@@ -26,8 +26,8 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.wind.mean_error import mean_moments
 
-_CHUNK_NUMBERS = 2_000_000
-"""Entries of the covariances of records that are looked at together: 16 MB an array."""
+_CHUNK_NUMBERS = 400_000
+"""Entries of the covariances of records that are looked at together: 3 MB an array."""
 MOST_BEAMS = 64
 """Of more beams, so many are looked at, evenly chosen."""
 _SLOWEST, _FASTEST = 1.5, 40.0

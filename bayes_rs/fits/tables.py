@@ -55,16 +55,19 @@ def read_table(folder: ResultFolder, names: Iterable[str], layout: Mapping[str, 
     -----
     The bytes that are compared with the fingerprint are those that are read.
     """
-    frames = [_read_part(folder.read(name), folder.path / name, layout) for name in names]
-    return pd.concat(frames, ignore_index=True) if len(frames) > 1 else frames[0]
+    parts = [_read_part(folder.read(name), folder.path / name, layout) for name in names]
+    joined = pa.concat_tables(parts, promote_options="permissive")
+    del parts
+    # the columns of Arrow go as those of pandas come: a table of a million records is in memory once
+    return cast("pd.DataFrame", joined.to_pandas(ignore_metadata=True, split_blocks=True, self_destruct=True))
 
 
-def _read_part(content: bytes, file: Path, layout: Mapping[str, str]) -> pd.DataFrame:
+def _read_part(content: bytes, file: Path, layout: Mapping[str, str]) -> pa.Table:
     what = f"File {str(file)!r}"
     try:
         table = pq.ParquetFile(pa.BufferReader(content)).read(list(layout))
         check_table(table, layout, what=what, advice=ADVICE)
-        return cast("pd.DataFrame", table.select(list(layout)).to_pandas(ignore_metadata=True))
+        return table.select(list(layout))
     except InputError:
         raise
     except (*UNREADABLE, pa.ArrowException) as error:

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bayes_rs.fits.direction_table import direction_words
+from bayes_rs._validation import FloatArray
+from bayes_rs.fits.direction_table import direction_words, median_of_known
 from bayes_rs.fits.flags import FAILURES, FLAGS, flag_words
 from bayes_rs.geometry.stress import STRESSES
 
@@ -21,32 +22,37 @@ def record_name(number: int, time: np.datetime64) -> str:
     return f"record {number}" if np.isnat(time) else f"record {number} ({np.datetime_as_string(time, unit='m')})"
 
 
-def flag_lines(flags: NDArray[np.int64], names: list[str]) -> list[str]:
+def flag_lines(flags: NDArray[np.int64], time: NDArray[np.datetime64]) -> list[str]:
     """Say how many records have each flag, and which is the first of them.
 
     Parameters
     ----------
     flags : ndarray of int, shape (n_record,)
         Bit masks, as in `FLAGS`.
-    names : list of str
-        What to call the records.
+    time : ndarray, shape (n_record,)
+        Starts of the records; NaT where there is no time.
 
     Returns
     -------
     lines : list of str
         One for each flag that some record has.
     """
-    return [
-        f"flag {word}: {np.count_nonzero(has)} of {len(flags)} records, first {names[int(np.argmax(has))]}"
-        for word, has in ((word, (flags & bit) != 0) for word, bit in FLAGS.items())
-        if has.any()
-    ]
+    lines = []
+    for word, bit in FLAGS.items():
+        has = (flags & bit) != 0
+        if has.any():
+            first = int(np.argmax(has))
+            of_all = f"{np.count_nonzero(has)} of {len(flags)} records"
+            lines.append(f"flag {word}: {of_all}, first {record_name(first, time[first])}")
+    return lines
 
 
-def failure_lines(flags: NDArray[np.int64], names: list[str]) -> list[str]:
+def failure_lines(flags: NDArray[np.int64], time: NDArray[np.datetime64]) -> list[str]:
     """Return one line for each record that was not fitted or whose chain fell short; of many, the first ones."""
     failed = np.flatnonzero((flags & FAILURES) != 0)
-    lines = [f"{names[index]}: {flag_words(int(flags[index]))}" for index in failed[:_LISTED].tolist()]
+    lines = [
+        f"{record_name(index, time[index])}: {flag_words(int(flags[index]))}" for index in failed[:_LISTED].tolist()
+    ]
     if len(failed) > _LISTED:
         lines.append(f"and {len(failed) - _LISTED} more records: see the column flag of the summary")
     return lines
@@ -58,15 +64,14 @@ def least_seen(table: pd.DataFrame) -> list[str]:
     Parameters
     ----------
     table : DataFrame
-        From `Fit.directions`.
+        From `direction_medians`.
 
     Returns
     -------
     lines : list of str
         One line; none if no record was fitted.
     """
-    columns = ["weight", "contraction", "contraction_shape", *STRESSES]
-    along = table.groupby("direction")[columns].median().dropna()
+    along = table.dropna()
     if along.empty:
         return []
     unseen = int((along["weight"] == 0.0).sum())
@@ -77,8 +82,18 @@ def least_seen(table: pd.DataFrame) -> list[str]:
     return [f"the beams {how} {which}: {prior:.0f} % of its share of the whole comes from the prior"]
 
 
+DESCRIBED = ("median", "decided", "least_squares", "low", "high")
+"""Columns of the summary that `describe` tells of."""
+
+
 def describe(
-    scan: str, sight: str, prior: str, prior_widths: list[float], table: pd.DataFrame, learnt: NDArray[np.float64]
+    scan: str,
+    sight: str,
+    prior: str,
+    prior_widths: list[float],
+    prob: float,
+    summary: dict[str, FloatArray],
+    learnt: FloatArray,
 ) -> list[str]:
     """Say what the scan sees, which prior it was, and what the data said beyond the prior.
 
@@ -88,8 +103,10 @@ def describe(
         Name of the scan, what it sees, and the prior, in words.
     prior_widths : list of float
         Widths of the prior's intervals of the stresses, m² s⁻².
-    table : DataFrame
-        From `Fit.summary`.
+    prob : float
+        Probability of the intervals.
+    summary : dict of str to ndarray, shape (n_record, 6)
+        `DESCRIBED` of the stresses; NaN where a record was not fitted.
     learnt : ndarray, shape (n_record,)
         Stresses learnt of each record; NaN where it was not fitted.
 
@@ -99,21 +116,18 @@ def describe(
         Numbers are medians over the records.
     """
     lines = [f"scan {scan}: {sight}", f"prior {prior}"]
-    rows = table[table["stress"].isin(STRESSES) & table["mean"].notna()]
-    if rows.empty:
+    if not np.isfinite(summary["median"]).any():
         return lines
-    prob = float(rows["prob"].iloc[0])
-    middle = rows.groupby("stress")[["median", "decided", "least_squares"]].median().loc[list(STRESSES)]
-    posterior = (rows["high"] - rows["low"]).groupby(rows["stress"]).median().loc[list(STRESSES)]
+    middle = {name: median_of_known(summary[name]) for name in ("median", "decided", "least_squares")}
+    posterior = median_of_known(summary["high"] - summary["low"])
     for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
         lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
     plain = _of_stresses(middle["least_squares"], ".3g")
     lines.append(f"least squares, no prior (median record; –: the beams do not tell it), m² s⁻²: {plain}")
     lines.append(f"stresses learnt from the data (median record): {np.nanmedian(learnt):.1f} of 6")
-    lines.append(
-        f"decided by the data (1: the data's, 0: the prior's): {_of_stresses(middle['decided'].round(2) + 0.0, '.2f')}"
-    )
+    decided = _of_stresses(middle["decided"].round(2) + 0.0, ".2f")
+    lines.append(f"decided by the data (1: the data's, 0: the prior's): {decided}")
     return lines
 
 

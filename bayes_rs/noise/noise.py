@@ -27,6 +27,8 @@ from bayes_rs.turbulence.mann import MannTurbulence
 _ABSENT = object()
 _PER_STATE = ("bias", "gain", "covariance", "wind_speed", "yaw", "length_scale", "gamma", "n_realizations")
 _OPTIONAL = ("standard_error", "sonic_covariance", "sonic_beam_covariance")
+_AT_ONCE = 16_384
+"""Records that are placed among the states at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -590,7 +592,9 @@ class Noise:
             words += "; with the moments of a sonic"
         if wind_speed is None or yaw is None:
             return words
-        n_outside = int(np.count_nonzero(self.locate(speed[known], angle[known])[2])) if known.any() else 0
+        some = np.flatnonzero(known)
+        pieces = [some[first : first + _AT_ONCE] for first in range(0, len(some), _AT_ONCE)]
+        n_outside = sum(int(np.count_nonzero(self.locate(speed[rows], angle[rows])[2])) for rows in pieces)
         if n_outside:
             nearest = "edge" if self.net is not None else "nearest state"
             words += f"; {n_outside} of {np.count_nonzero(known)} records are outside and use its {nearest}"

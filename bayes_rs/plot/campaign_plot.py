@@ -59,9 +59,7 @@ def campaign(fit: Fit) -> Figure:
 
 def record_means(fit: Fit) -> FloatArray:
     """Return the average over the fitted records of their posterior means under the given prior, shape (6,), m² s⁻²."""
-    rows = fit.table("summary")[["stress", "mean"]]
-    means = rows[rows["stress"].isin(STRESSES)]["mean"].to_numpy(dtype=np.float64).reshape(-1, len(STRESSES))
-    return np.asarray(means[fit.fitted].mean(axis=0))
+    return np.asarray(fit.of_stresses("mean")["mean"][fit.fitted].mean(axis=0))
 
 
 def speed_bins(table: pd.DataFrame, quantity: str) -> pd.DataFrame:

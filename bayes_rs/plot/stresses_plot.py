@@ -16,6 +16,9 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR, known_stresses
 
+MOST_POINTS = 3000
+"""Records of which each is drawn; of more, medians over so many in a row that there are at most that many points."""
+
 
 def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = None) -> Figure:
     """Draw the six stresses over time, with credible bands.
@@ -33,7 +36,8 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
     -------
     figure : Figure
         Six panels: median, central 50 % band and central `prob` band; of a fit that kept no draws, median and
-        interval of its summary. Records that were not fitted or are flagged are marked below.
+        interval of its summary. Records that were not fitted or are flagged are marked below. Of more than
+        `MOST_POINTS` records, points are medians over records in a row.
 
     Raises
     ------
@@ -44,16 +48,22 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
     prob = float(fit.settings["fit"]["prob"]) if prob is None else check_prob(prob)
     marks = None if truth is None else known_stresses(truth, fit.n_record)
     bands, names = _bands(fit, prob)
-    has_time = not np.isnat(fit.time).any()
-    when: NDArray[Any] = fit.time if has_time else np.arange(fit.n_record)
+    # the starts of a fleet's records come again with every turbine: its axis is that of the numbers
+    has_time = not np.isnat(fit.time).any() and bool(np.all(np.diff(fit.time) > np.timedelta64(0, "ns")))
+    size = -(-fit.n_record // MOST_POINTS)
+    of_points = np.arange(0, fit.n_record, size)
+    when: NDArray[Any] = (fit.time if has_time else np.arange(fit.n_record))[of_points]
     figure = Figure(figsize=(11.0, 11.0), layout="constrained")
     axes = figure.subplots(6, 1, sharex=True)
-    marked = np.flatnonzero(fit.flag != 0)
+    marked = np.unique(np.flatnonzero(fit.flag != 0) // size)
+    if size > 1:
+        bands = np.stack([_medians(bands[:, first : first + size]) for first in of_points.tolist()], axis=1)
+        names = [f"{name}, medians over {size} records" for name in names]
     truth_style = _truth_style(fit.n_record)
     for index, (axis, name) in enumerate(zip(axes, STRESSES, strict=True)):
         _draw_bands(axis, when, bands[..., index])
         if marks is not None:
-            axis.plot(when, marks[:, index], **truth_style)
+            axis.plot(when, marks[of_points, index], **truth_style)
         if index >= 3:
             axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"{name}\n[m² s⁻²]")
@@ -95,10 +105,14 @@ def _bands(fit: Fit, prob: float) -> tuple[FloatArray, list[str]]:
             f"Invalid prob {prob:g}: this fit kept no draws, and its summary holds intervals of {own:g}; leave it out, "
             "or fit again with draws='float32'."
         )
-    table = fit.table("summary")
-    of_stresses = table[table["stress"].isin(STRESSES)]
-    columns = [of_stresses[name].to_numpy(dtype=np.float64) for name in ("low", "median", "high")]
-    return np.stack(columns).reshape(3, fit.n_record, len(STRESSES)), [f"{100 * prob:g} % interval, equal tails"]
+    columns = fit.of_stresses("low", "median", "high")
+    return np.stack(list(columns.values())), [f"{100 * prob:g} % interval, equal tails"]
+
+
+def _medians(bands: FloatArray) -> FloatArray:
+    """Return the medians of levels (n_level, n_record, 6) over the fitted records; NaN if there are none."""
+    fitted = np.isfinite(bands).all(axis=(0, 2))
+    return np.median(bands[:, fitted], axis=1) if fitted.any() else np.full((len(bands), bands.shape[2]), np.nan)
 
 
 def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+import numpy as np
 import xarray as xr
 from pydantic import Field, Json, model_validator
 
@@ -19,6 +20,8 @@ REPORT = "records_report"
 """Attribute of records that only they have."""
 OF_RANGES = "of_ranges"
 """Attribute of records at several ranges: in JSON, the attributes that each range has for itself."""
+TURBINE = "turbine"
+"""Variable of records with the name of the turbine, or of the lidar: the same start is then another record."""
 _ADVICE = "make them with bayes_rs.make_records"
 
 RECORDS: dict[str, Entry] = {
@@ -27,6 +30,7 @@ RECORDS: dict[str, Entry] = {
     "height": Entry((), unit="m"),
     "focus_distance": Entry(("beam",), unit="m", positive=True),
     "time": Entry(_RECORD, "time"),
+    TURBINE: Entry(_RECORD, "text"),
     "variance": Entry(_BOTH, unit=_VARIANCE, most=_ANY),
     "mean": Entry(_BOTH, unit=_SPEED, most=_ANY),
     "count": Entry(_BOTH),
@@ -271,3 +275,8 @@ def check_layout(
         optional_dim="range",
         advice=advice,
     )
+
+
+def with_turbine(records: xr.Dataset, name: str) -> xr.Dataset:
+    """Return records of which each says the name of its turbine."""
+    return records.assign({TURBINE: ("record", np.full(records.sizes["record"], name, dtype=object))})

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
@@ -15,7 +16,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
-from bayes_rs.records.layout import OF_RANGES, REPORT, check_layout
+from bayes_rs.records.layout import OF_RANGES, REPORT, TURBINE, check_layout
 from bayes_rs.records.ranges import DISTANCE, each_range, has_ranges, scan_of_records
 
 
@@ -110,6 +111,12 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
                     f"The records in {str(path)!r} have {what} {other} and those in {str(paths[0])!r} {one}: fit them "
                     "separately."
                 )
+        if (TURBINE in first) != (TURBINE in records):
+            named, nameless = (paths[0], path) if TURBINE in first else (path, paths[0])
+            raise InputError(
+                f"The records in {str(named)!r} say their turbine and those in {str(nameless)!r} do not: make the "
+                "latter anew with --turbine NAME, or fit them separately."
+            )
     if len(found) == 1:
         return first
     joined = xr.concat(
@@ -131,11 +138,13 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
     if told:
         joined.attrs[NOT_BELIEVED] = json.dumps(add_not_believed(told))
     if "time" in joined.coords and joined.indexes.get("time") is None:
-        again = joined["time"].to_series().duplicated().to_numpy()
+        names = [name for name in ("time", TURBINE) if name in joined.variables]
+        again = pd.DataFrame({name: joined[name].values for name in names}).duplicated().to_numpy()
         if again.any():
+            many = "" if TURBINE in joined else "; records of several turbines need its name in each (--turbine)"
             raise InputError(
                 f"{np.count_nonzero(again)} records start at the same time as another, the first at "
-                f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap."
+                f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap{many}."
             )
     return joined
 

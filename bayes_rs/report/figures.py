@@ -70,9 +70,10 @@ def records_data(found: ReportData) -> dict[str, Any]:
     position, _, _ = time_axis(found)
     columns = ("median", "low", "high", "mean", "sd")
     numbers = np.stack([found.numbers[name][rows] for name in columns], axis=1)
-    sd = np.sqrt(np.einsum("rii->ri", found.covariance[rows]))
+    covariance = found.covariance(rows)
+    sd = np.sqrt(np.einsum("rii->ri", covariance))
     with np.errstate(invalid="ignore", divide="ignore"):  # records that were not fitted, or draws that are all equal
-        correlation = np.stack([found.covariance[rows, i, j] / (sd[:, i] * sd[:, j]) for i, j in _PAIRS], axis=1)
+        correlation = np.stack([covariance[:, i, j] / (sd[:, i] * sd[:, j]) for i, j in _PAIRS], axis=1)
     data: dict[str, Any] = {
         "record": pack_steps(found.record[rows]),
         "position": pack_steps(position[rows]),

@@ -23,6 +23,7 @@ from bayes_rs.report.campaign_section import campaign_section
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.series import Series, make_series, time_axis
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
+from bayes_rs.report.turbines import turbine_table
 from bayes_rs.report.unsteady import unsteady_table
 
 MOST_FILES = 400
@@ -73,6 +74,7 @@ def render(found: ReportData, *, title: str | None = None) -> str:
     sections = [
         ("read", "What was read", _read_section(found, availability)),
         ("stresses", "Stresses over time", _stress_section(found, series)),
+        ("turbines", "Turbines", turbine_table(found)),
         ("campaign", "Campaign", campaign_section(found.campaign)),
         ("record", "One record", _record_section(found, timed=timed)),
         ("decided", "What the data said", _decided_section(found, data)),

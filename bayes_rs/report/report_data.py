@@ -45,14 +45,14 @@ class ReportData:
         Median and interval, each of shape (n_record,), of the derived quantities.
     per_record : dict of str to ndarray, shape (n_record,)
         ``pareto_k``, ``misfit`` and ``stresses_learnt``.
-    covariance : ndarray, shape (n_record, 6, 6)
-        Posterior covariances of the stresses, m⁴ s⁻⁴.
+    covariance : callable
+        Gives the posterior covariances (n, 6, 6) of the stresses of some records, m⁴ s⁻⁴.
     draws : callable or None
         Gives so many draws of every record, shape (n_record, n, 6); None if they were not kept.
     prior_shape : ndarray of shape (n, 6)
         Draws of R over its trace under the prior.
     directions : DataFrame
-        As from `Fit.directions`.
+        As from `Fit.direction_medians`.
     sight, prior, target : str
         In words.
     campaign : CampaignShown or str
@@ -69,7 +69,7 @@ class ReportData:
     numbers: dict[str, FloatArray]
     derived: dict[str, dict[str, FloatArray]]
     per_record: dict[str, FloatArray]
-    covariance: FloatArray
+    covariance: Callable[[NDArray[np.int64]], FloatArray]
     draws: Callable[[int], FloatArray] | None
     prior_shape: FloatArray
     directions: pd.DataFrame
@@ -111,10 +111,12 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
             "it out, or fit again with --prob."
         )
     names = tuple(dict.fromkeys(("ti", *own["derived"]))) if fit.has_draws else tuple(own["derived"])
-    table = fit.summary(prob=prob, derived=names)
-    rows = fit.table("posterior")
     wind_speed = np.asarray(fit.records["wind_speed"].values, dtype=np.float64)
-    numbers, derived = _numbers(table, fit.n_record), _derived(table)
+    if prob in (None, own["prob"]) and not names:  # many records, whose summary is not needed as a whole
+        numbers, derived = fit.of_stresses(*NUMBERS), dict[str, dict[str, FloatArray]]()
+    else:
+        table = fit.summary(prob=prob, derived=names)
+        numbers, derived = _numbers(table, fit.n_record), _derived(table)
     if "ti" not in derived and np.isfinite(wind_speed).any():
         speed = np.where(wind_speed > 0.0, wind_speed, np.nan)
         derived["ti"] = {
@@ -126,17 +128,17 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         run=dict(fit.run),
         records=fit.records,
         prob=own["prob"] if prob is None else prob,
-        record=rows["record"].to_numpy(dtype=np.int64),
+        record=np.arange(fit.n_record),
         time=fit.time,
         flag=fit.flag,
         wind_speed=wind_speed,
         numbers=numbers,
         derived=derived,
-        per_record={name: rows[name].to_numpy(dtype=np.float64) for name in _PER_RECORD},
-        covariance=fit.covariance(),
+        per_record=fit.of_records(*_PER_RECORD),
+        covariance=fit.covariance,
         draws=partial(_thinned, fit) if fit.has_draws else None,
         prior_shape=np.asarray(prior / prior[:, :3].sum(axis=1, keepdims=True)),
-        directions=fit.directions(),
+        directions=fit.direction_medians(),
         sight=str(fit.run["sight"]),
         prior=str(fit.run["prior"]),
         target=str(own["target"]),

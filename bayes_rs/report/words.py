@@ -93,8 +93,6 @@ def beside_rows(found: ReportData) -> list[tuple[str, ...]]:
 
 def direction_rows(found: ReportData) -> list[tuple[str, ...]]:
     """Return a row for each direction of R, median record: words, weight, seen or not, and contraction of shape."""
-    columns = ["weight", "contraction_shape", *STRESSES]
-    along = found.directions.groupby("direction")[columns].median()
     return [
         (
             direction_words(row[list(STRESSES)].to_numpy(dtype=np.float64)),
@@ -102,7 +100,7 @@ def direction_rows(found: ReportData) -> list[tuple[str, ...]]:
             "yes" if row["weight"] > 0.0 else "no",
             number(row["contraction_shape"], 2),
         )
-        for _, row in along.iterrows()
+        for _, row in found.directions.iterrows()
     ]
 
 
