@@ -16,16 +16,18 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from kept_fields import Fields
 from matplotlib.figure import Figure
 from seed_study import TABLE_1, WIND_SPEED, methods_of, records_of, scans, weights_of
 
 import bayes_rs as brs
-from bayes_rs.simulation.boxes import BoxGrid, BoxMaker
-from bayes_rs.simulation.virtual import RecordState, beam_lines, sample_records
+from bayes_rs.simulation.boxes import BoxGrid
 
 GRID = BoxGrid((8192, 64, 64), (18000.0 / 8192, 2.0, 2.0))
 FIRST_SEED = 1
 DURATIONS = (1800.0, 600.0)
+SHEAR = 0.0288
+"""dU/dz, 1/s."""
 MOST_FIT = 60
 """Scans with more beams have no posterior here, but for the SpinnerLidar: the noise of all pairs takes long."""
 FIGURES = {
@@ -52,21 +54,15 @@ def sonic_scan() -> brs.Scan:
     return brs.Scan("sonic", direction, focus_distance=np.full(6, 1e-6), beam_time=np.zeros(6), scan_duration=1.0)
 
 
-def variances(all_scans: dict[str, brs.Scan], n_field: int) -> dict[str, dict[float, np.ndarray]]:
-    """Return the beams' variances of each scan and duration, shape (n_field, n_beam), m² s⁻²."""
-    maker = BoxMaker(brs.load_turbulence("fu-2022"), GRID)
-    states = {name: RecordState(scan, WIND_SPEED, 0.0, DURATIONS[0]) for name, scan in all_scans.items()}
-    found = {name: {duration: [] for duration in DURATIONS} for name in all_scans}
-    for field in range(n_field):
-        box = maker.make(FIRST_SEED + field)
-        for name, state in states.items():
-            lines = beam_lines(box, state.focus, state.line_of_sight)
-            velocity = sample_records(lines, state, GRID)[0]
-            for duration in DURATIONS:
-                count = round(duration / state.scan.scan_duration)
-                found[name][duration].append(velocity[:, :count].var(axis=1))
-        print(f"field {field + 1} of {n_field}", flush=True)
-    return {name: {key: np.array(value) for key, value in of.items()} for name, of in found.items()}
+def kept(study: Fields, folder: Path, n_field: int) -> list[dict[str, np.ndarray]]:
+    """Return the fields of the study, and say how far it is."""
+    fields = []
+    for field in study.keep(folder, range(FIRST_SEED, FIRST_SEED + n_field)):
+        fields.append(field)
+        print(f"field {len(fields)} of {n_field}", flush=True)
+    generator, beams = (sum(float(field[name]) for field in fields) / n_field for name in ("generator", "beams"))
+    print(f"CPU a field: {generator:.1f} s to make it, {beams:.1f} s for the {len(study.lines[2])} beams of all scans")
+    return fields
 
 
 def estimates(label: str, scan: brs.Scan, variance: np.ndarray, sonic: np.ndarray, duration: float) -> list[dict]:
@@ -171,11 +167,18 @@ def short(label: str) -> str:
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="where each finished field is kept")
     parser.add_argument("--fields", type=int, default=100)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent)
     options = parser.parse_args()
     chosen = {label: scan for label, (scan, _) in scans().items()}
-    of_scan = variances({"sonic": sonic_scan(), **chosen}, options.fields)
+    study = Fields({"sonic": sonic_scan(), **chosen}, "fu-2022", GRID, WIND_SPEED, SHEAR, DURATIONS)
+    try:
+        of_scan = study.variances(kept(study, options.folder, options.fields))
+    except brs.InputError as error:
+        parser.exit(2, f"{error}\n")
+    except KeyboardInterrupt:
+        parser.exit(130, f"\nInterrupted: finished fields are in {options.folder}; the same command goes on.\n")
     back = np.linalg.inv(brs.geometry.design_matrix(sonic_scan()))
     rows = []
     for duration in DURATIONS:
