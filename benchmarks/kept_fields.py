@@ -167,9 +167,9 @@ def read(path: Path, key: dict[str, object]) -> dict[str, np.ndarray]:
     """
     advice = "Delete it to have the field made again, or name another folder."
     try:
-        with np.load(path, allow_pickle=False) as file:  # each part of it has its checksum
-            found = json.loads(str(file["key"]))
-            field = {name: file[name] for name in ("variance", "generator", "beams")}
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as parts:  # each has its checksum
+            found = json.loads(str(parts["key"]))
+            field = {name: parts[name] for name in ("variance", "generator", "beams")}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError) as error:
         raise InputError(f"Invalid field {path}: it is damaged, or was not written by this study. {advice}") from error
     if not isinstance(found, dict) or found != key:
