@@ -10,7 +10,19 @@ import bayes_rs as brs
 
 SCIPY = {
     f"scipy.{part}"
-    for part in "special linalg fft interpolate spatial sparse optimize stats ndimage integrate signal".split()
+    for part in [
+        "special",
+        "linalg",
+        "fft",
+        "interpolate",
+        "spatial",
+        "sparse",
+        "optimize",
+        "stats",
+        "ndimage",
+        "integrate",
+        "signal",
+    ]
 }
 PICTURES = {"matplotlib", "corner"}
 FIT = {
