@@ -1,16 +1,24 @@
 """Where a command begins: `bayes-rs` and `python -m bayes_rs`."""
 
+import atexit
+import gc
 import os
 import signal
 from types import FrameType
+
+_NEW_OBJECTS = 100_000
+"""Objects made, less those gone, before garbage is looked for. The memory of arrays does not wait for that."""
 
 
 def main() -> None:
     """Run the command line, with what must be settled before anything else is loaded.
 
     Figures go to files, so `MPLBACKEND`, which notebooks set for all that they start, does not count. An interrupt
-    while modules are loaded ends the program with one line, as it does later.
+    while modules are loaded ends the program with one line, as it does later. What modules are made of stays: to look
+    through all of it for garbage again and again, and once more at the end, would take a quarter of a short command.
     """
+    gc.set_threshold(_NEW_OBJECTS, 10, 10)
+    atexit.register(gc.freeze)  # the first one registered is the last one called
     os.environ["MPLBACKEND"] = "agg"
     handler = signal.getsignal(signal.SIGINT)
     if handler is signal.default_int_handler:  # in the background a shell has it ignored

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
-from scipy.stats import chi2
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.alarms.means import LASTING_FLOOR, TILT_SD, WIND
@@ -103,7 +102,7 @@ class Evidence:
     @cached_property
     def p_square(self) -> FloatArray:
         """Probability of so large a χ², shape (n_record,); NaN without data."""
-        tail = chdtrc(np.maximum(self.count, 1), self.square / self.square_excess)
+        tail = scipy.special.chdtrc(np.maximum(self.count, 1), self.square / self.square_excess)
         return np.where(self.count > 1, tail, np.nan)
 
     @cached_property
@@ -300,7 +299,7 @@ def _square_excess(square: FloatArray, count: NDArray[np.int64]) -> float:
     n = np.count_nonzero(there)
     if n < FEWEST:
         return 1.0
-    own = float(np.median(square[there] / chi2.median(count[there])))
+    own = float(np.median(square[there] / scipy.stats.chi2.median(count[there])))
     return float(np.clip((_LIKE_RECORDS + n * own) / (_LIKE_RECORDS + n), 1.0, _MOST_EXCESS))
 
 

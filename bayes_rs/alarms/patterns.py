@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from bayes_rs._validation import FloatArray
 
@@ -178,9 +178,9 @@ def independent_patterns(covariance: FloatArray, patterns: Patterns) -> float:
     pull = normal @ np.linalg.cholesky(0.5 * (precision + precision.T)).T
     largest = np.max(np.abs(pull @ patterns.matrix.T) / np.sqrt(weight), axis=1)
     at = float(np.quantile(largest, 1.0 - _NULL_LEVEL))
-    return float(np.clip(np.log1p(-_NULL_LEVEL) / np.log1p(-2.0 * ndtr(-at)), 1.0, len(patterns)))
+    return float(np.clip(np.log1p(-_NULL_LEVEL) / np.log1p(-2.0 * scipy.special.ndtr(-at)), 1.0, len(patterns)))
 
 
 def largest_tail(score: FloatArray, count: float) -> FloatArray:
     """Return the probability that the largest of `count` independent |t| is at least so large: 1 − (1 − 2 Φ(−t))ⁿ."""
-    return np.asarray(-np.expm1(count * np.log1p(-np.minimum(2.0 * ndtr(-np.abs(score)), 1.0 - 1e-12))))
+    return np.asarray(-np.expm1(count * np.log1p(-np.minimum(2.0 * scipy.special.ndtr(-np.abs(score)), 1.0 - 1e-12))))

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import ndtri
+import scipy
 
 from bayes_rs._validation import FloatArray, check_array, check_choice, check_non_negative, check_positive
 from bayes_rs.design.beam_space import BeamSpace
@@ -312,7 +311,7 @@ def _posterior(noise: Noise, stress: FloatArray, before: FloatArray) -> FloatArr
 
 
 def _widths(covariance: FloatArray, stress: FloatArray) -> FloatArray:
-    spread = ndtri(0.5 + 0.5 * _PROB) * np.sqrt(np.diag(covariance))
+    spread = scipy.special.ndtri(0.5 + 0.5 * _PROB) * np.sqrt(np.diag(covariance))
     return np.concatenate([2.0 * stress[:3] * np.sinh(spread[:3] / stress[:3]), 2.0 * spread[3:]])
 
 
@@ -339,7 +338,7 @@ def local_prior_covariance(prior: Prior, turbulence: MannTurbulence) -> FloatArr
     # the size first, on a line through the centre: far from it the map is exponential
     line = np.linspace(-6.0, 6.0, 121)[:, np.newaxis] * np.eye(n)[0]
     start = line[int(np.argmin(np.sum(miss(line) ** 2, axis=-1)))]
-    point = least_squares(miss, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    point = scipy.optimize.least_squares(miss, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).x
     if not np.max(np.abs(miss(point))) < _REACHED:
         raise InputError(
             f"Prior {prior.name!r} does not hold the stresses of turbulence {turbulence.name or turbulence!r} "

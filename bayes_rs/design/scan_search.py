@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.design.beam_space import BeamSpace, largest_angle
@@ -116,7 +116,7 @@ class ScanSearch:
         bounds: list[tuple[float, float]],
         rules: list[dict[str, Any]],
     ) -> FloatArray:
-        solve: Any = minimize  # its stubs know no constraints with slopes of several rows
+        solve: Any = scipy.optimize.minimize  # its stubs know no constraints with slopes of several rows
         options = {"maxiter": _MOST_STEPS, "ftol": self.scale.precision}
         done = solve(height, start, jac=True, method="SLSQP", bounds=bounds, constraints=rules, options=options)
         return np.asarray(done.x, dtype=np.float64)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from bayes_rs._validation import FloatArray, as_generator
 from bayes_rs.geometry.forward import RANK_TOLERANCE
@@ -22,8 +21,8 @@ _SMALLEST = 1e-9  # eigenvalues of Σ below this part of the largest are roundin
 def even_normals(count: int, n_dimension: int, seed: int) -> FloatArray:
     """Return standard normal numbers, shape (count, n_dimension), evenly: normal scores of Sobol points."""
     power = int(np.ceil(np.log2(count)))
-    uniform = qmc.Sobol(n_dimension, rng=as_generator(seed)).random_base2(power)[:count]
-    return np.asarray(ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
+    uniform = scipy.stats.qmc.Sobol(n_dimension, rng=as_generator(seed)).random_base2(power)[:count]
+    return np.asarray(scipy.special.ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
 
 
 def explained_errors(noise: Noise, truth: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -139,9 +139,10 @@ class FitOptions:
         check_seed(self.seed)
         check_choice(self.target, tuple(TARGETS), what="target")
         check_choice(self.sampler, tuple(SAMPLERS), what="sampler")
-        from bayes_rs.likelihoods.log_normal import LIKELIHOODS  # noqa: PLC0415 - help need not wait for scipy
+        if self.likelihood != FitOptions.likelihood:  # the default is one of them
+            from bayes_rs.likelihoods.log_normal import LIKELIHOODS  # noqa: PLC0415 - to look at files needs no scipy
 
-        check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
+            check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
         check_count(self.target_ess, what="target_ess")
         check_count(self.max_extension, what="max_extension", minimum=0)
         check_choice(self.draws, DRAWS, what="draws")

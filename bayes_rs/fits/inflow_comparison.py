@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import gammaln, logsumexp
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
@@ -281,7 +281,7 @@ def _weigh(posterior: Posterior, keys: NDArray[np.int64], options: FitOptions, s
         chi_square = streams.chi_square(every, (options.target_ess,), DEGREES_OF_FREEDOM)
         coordinate = proposal.transform(normal, chi_square)
         log_weight = posterior.log_density(coordinate) - proposal.log_density_of(normal, chi_square)
-        total = np.asarray(logsumexp(log_weight, axis=1))
+        total = np.asarray(scipy.special.logsumexp(log_weight, axis=1))
         weight = np.exp(log_weight - total[:, None])
         if again:
             mean = np.einsum("rd,rdk->rk", weight, coordinate)
@@ -329,7 +329,7 @@ def _one_out(
                 model, full.take(rows), covariance[rows], drawn.coordinate, np.log(some.variance[:, beam]), beam
             )
             with_weight = density + drawn.log_weight
-            predicted = np.asarray(logsumexp(with_weight, axis=1))
+            predicted = np.asarray(scipy.special.logsumexp(with_weight, axis=1))
             difference[rows] += sign * predicted
             square[rows] += np.sum((drawn.weight * np.expm1(density - predicted[:, None])) ** 2, axis=1)
     return {
@@ -361,5 +361,9 @@ def _beam_density(
         return np.asarray(-0.5 * (np.log(2.0 * np.pi * variance) + distance**2 / variance))
     more = dof + likelihood.n_datum[:, None]
     variance = variance * (dof + np.einsum("rds,rds->rd", residual, residual)) / more
-    constant = gammaln(0.5 * (more + 1.0)) - gammaln(0.5 * more) - 0.5 * np.log(more * np.pi * variance)
+    constant = (
+        scipy.special.gammaln(0.5 * (more + 1.0))
+        - scipy.special.gammaln(0.5 * more)
+        - 0.5 * np.log(more * np.pi * variance)
+    )
     return np.asarray(constant - 0.5 * (more + 1.0) * np.log1p(distance**2 / (more * variance)))

@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy
 import xarray as xr
 from numpy.typing import NDArray
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, overload
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
 
 import matplotlib as mpl
 import numpy as np
@@ -87,11 +89,7 @@ def corner(
     InputError
         If the record does not exist or was not fitted, or an array has the wrong shape.
     """
-    with warnings.catch_warnings():
-        # corner imports ArviZ, which announces its next version on stderr now and then
-        warnings.filterwarnings("ignore", message="\\s*ArviZ is undergoing", category=FutureWarning)
-        from corner import corner as draw_corner  # noqa: PLC0415 - loading it takes longer than most commands
-
+    draw_corner = _corner_of_arrays()
     index = fit.find_record(record)
     posterior, prior = _draws(fit, index)
     if len(posterior) <= len(STRESSES):
@@ -139,6 +137,26 @@ def corner(
         title = f"{fit.run['scan']}, record {index}{when}, prior {fit.run['prior_name']}"
     target.suptitle(title, fontsize=12, x=0.98, ha="right", parse_math=False)
     return target
+
+
+@cache
+def _corner_of_arrays() -> Callable[..., Any]:
+    """Return the function of the package corner that draws arrays, from its own module `corner.core`.
+
+    `import corner` loads ArviZ too, for objects that are not arrays, and with it numba, if that is installed, which
+    compiles as it is loaded: a second of what a short command takes. So that one module is loaded alone, and is not
+    entered among the modules: who imports corner elsewhere has all of it.
+    """
+    package = find_spec("corner")
+    if package is None or package.origin is None:
+        raise ModuleNotFoundError("No module named 'corner'", name="corner")
+    spec = spec_from_file_location("corner.core", Path(package.origin).with_name("core.py"))
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError("No module named 'corner.core'", name="corner.core")
+    core = module_from_spec(spec)
+    spec.loader.exec_module(core)
+    draw: Callable[..., Any] = core.corner_impl
+    return draw
 
 
 def prior_at_size(fit: Fit, record: int | str) -> FloatArray:

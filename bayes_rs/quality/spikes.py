@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.quality.groups import group_median

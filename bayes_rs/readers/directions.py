@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray
 
@@ -59,9 +57,9 @@ def common_directions(direction: FloatArray, tolerance_deg: float) -> CommonDire
     reach = 2.0 * np.sin(0.5 * np.deg2rad(min(tolerance_deg, 180.0)))
     cell, at = np.unique(np.round(direction[known] * (_GRID / reach)), axis=0, return_inverse=True)
     centre = _means(direction[known], at.ravel(), len(cell))
-    pairs = cKDTree(centre).query_pairs(reach, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
-    n_found, of_cell = connected_components(links, directed=False)
+    pairs = scipy.spatial.cKDTree(centre).query_pairs(reach, output_type="ndarray")
+    links = scipy.sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
+    n_found, of_cell = scipy.sparse.csgraph.connected_components(links, directed=False)
     own = of_cell[at.ravel()].astype(np.int64)
     label[known] = own
     mean = _means(direction[known], own, int(n_found))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
@@ -185,14 +185,14 @@ def gates_in_words(distance: FloatArray) -> str:
 def nearest_beam(direction: FloatArray, scan: Scan, tolerance_deg: float) -> IntArray:
     """Return for each ray, unit vectors (n_ray, 3), the index of the nearest beam within a tolerance, or −1."""
     known = np.asarray(np.isfinite(direction).all(axis=1))
-    chord, nearest = cKDTree(scan.beam_direction).query(np.where(known[:, np.newaxis], direction, 0.0))
+    chord, nearest = scipy.spatial.cKDTree(scan.beam_direction).query(np.where(known[:, np.newaxis], direction, 0.0))
     inside = known & (chord <= 2.0 * np.sin(0.5 * np.deg2rad(tolerance_deg)))
     return np.where(inside, nearest, -1).astype(np.int64)
 
 
 def first_of_direction(scan: Scan) -> IntArray:
     """Return for each beam the index of the first beam with its direction."""
-    tree = cKDTree(scan.beam_direction)
+    tree = scipy.spatial.cKDTree(scan.beam_direction)
     return np.array([np.min(near) for near in tree.query_ball_point(scan.beam_direction, _SAME)], dtype=np.int64)
 
 
@@ -201,7 +201,7 @@ def _look_along(rays: Rays, scan: Scan, distinct: IntArray, tolerance: float) ->
     along = np.full(len(rays.time), -1, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(rays.direction).all(axis=1))
     n_near = min(2, len(distinct))
-    found = cKDTree(scan.beam_direction[distinct]).query(rays.direction[known], k=[1, 2][:n_near])
+    found = scipy.spatial.cKDTree(scan.beam_direction[distinct]).query(rays.direction[known], k=[1, 2][:n_near])
     chord, nearest = np.asarray(found[0]), np.asarray(found[1])
     angle = np.rad2deg(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
     inside = angle[:, 0] <= tolerance

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
@@ -58,7 +58,7 @@ def match_sequence(
     n_plane = max(1, len(np.unique(scan.focus_distance)))
     n_near = min(len(scan.beam), _NEAREST * n_plane)
     if len(known):
-        found = cKDTree(scan.beam_direction).query(rays.direction[known], k=list(range(1, n_near + 1)))
+        found = scipy.spatial.cKDTree(scan.beam_direction).query(rays.direction[known], k=list(range(1, n_near + 1)))
         chord, near = np.asarray(found[0]), np.asarray(found[1])
         angle = np.rad2deg(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
         off = np.abs(rays.distance[known] - scan.focus_distance[near])

@@ -9,9 +9,8 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import next_fast_len
 
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError, MissingExtraError
@@ -174,7 +173,7 @@ def choose_grid(
 
 
 def _even(count: float) -> int:
-    return 2 * int(next_fast_len(max(int(np.ceil(0.5 * count - 1e-9)), 4), real=True))
+    return 2 * int(scipy.fft.next_fast_len(max(int(np.ceil(0.5 * count - 1e-9)), 4), real=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_finite, check_positive

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import scipy.fft
+import scipy
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import diric
 
 from bayes_rs._validation import (
     FloatArray,
@@ -129,7 +128,7 @@ class RecordState:
 
     def _kept(self, maker: BoxMaker) -> FloatArray:
         """Return the part of the variance in each wave number k₁ that is left when a record's mean is removed."""
-        return np.asarray(1.0 - diric(maker.wave_number * self.step, self.n_sample) ** 2)
+        return np.asarray(1.0 - scipy.special.diric(maker.wave_number * self.step, self.n_sample) ** 2)
 
 
 def interpolation_weights(position: ArrayLike, count: int, spacing: float) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import toeplitz
+import scipy
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
@@ -112,7 +112,7 @@ def information_ratio(
             )[0]
             if a == b:
                 diagonals[n_slot - 1] += floor
-            matrix = toeplitz(diagonals[n_slot - 1 :: -1], diagonals[n_slot - 1 :])
+            matrix = scipy.linalg.toeplitz(diagonals[n_slot - 1 :: -1], diagonals[n_slot - 1 :])
             half = flat.conj() @ matrix
             power = np.abs(half @ flat.T) ** 2 + np.abs(half.conj() @ flat.T) ** 2
             mean = power.reshape(n_taper, n_frequency, n_taper, n_frequency).mean(axis=(0, 2))

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from bayes_rs._validation import FloatArray, as_numbers, check_choice, check_count, check_log_normal, check_non_negative
 from bayes_rs.errors import InputError, in_short
@@ -519,7 +519,7 @@ def _scale_moments(
     fine = np.arange(log_node[0], log_node[-1] + 0.5 * _FINE_STEP, _FINE_STEP)
     top = float(np.max(log_posterior))
     clipped = np.maximum(log_posterior - top, _UNLIKELY)
-    between = np.stack([CubicSpline(log_node, row)(fine) for row in clipped])
+    between = np.stack([scipy.interpolate.CubicSpline(log_node, row)(fine) for row in clipped])
     weight = np.exp(between - np.max(between))
     weight /= weight.sum()
     mean, gamma = float(np.sum(weight * fine)), float(np.sum(weight * gammas[:, np.newaxis]))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_choice, check_count
 from bayes_rs.errors import InputError
@@ -278,7 +278,7 @@ def _mean_of(noise: FloatArray, sd: FloatArray) -> tuple[float, float]:
 def _cut_at_zero(noise: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of normal distributions that are cut off at zero."""
     ratio = noise / sd
-    hazard = np.exp(stats.norm.logpdf(ratio) - stats.norm.logcdf(ratio))
+    hazard = np.exp(scipy.stats.norm.logpdf(ratio) - scipy.stats.norm.logcdf(ratio))
     mean = noise + sd * hazard
     spread = sd * np.sqrt(np.maximum(1.0 - hazard * (hazard + ratio), 0.0))
     return np.asarray(mean), np.asarray(spread)

@@ -7,9 +7,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.linalg import toeplitz
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
@@ -131,7 +130,7 @@ class _Space:
         of = self.pairs
         along = np.broadcast_to(self.core * np.sinh(self.place), (len(of.first), len(self.place)))
         covariance = radial_covariance(of.first, of.second, of.across, along, unit)
-        self.between = CubicSpline(self.place, covariance, axis=1)
+        self.between = scipy.interpolate.CubicSpline(self.place, covariance, axis=1)
         own = np.zeros((scan.n_beam, 2))
         self.variance = radial_covariance(line, line, own, own[:, :1], unit)[:, 0]
 
@@ -188,7 +187,7 @@ def _octave_covariance(scan: Scan, blocks: Blocks, interval: float, space: _Spac
         if key not in known:
             along = float(space.pairs.along[which]) - later - lag
             diagonals = space.at(which, along)
-            matrix = toeplitz(diagonals[n_sample - 1 :: -1], diagonals[n_sample - 1 :])
+            matrix = scipy.linalg.toeplitz(diagonals[n_sample - 1 :: -1], diagonals[n_sample - 1 :])
             known[key] = 2.0 * _projected_power(matrix, blocks) / n_sample**2
         one = known[key] / (space.variance[a] * space.variance[b])
         found[a, b] = one

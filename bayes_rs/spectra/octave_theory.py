@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import PointProbe
@@ -137,7 +137,7 @@ class OctaveTheory:
         Their samples.
     gamma : float
         Anisotropy Γ.
-    point : CubicSpline
+    point : scipy.interpolate.CubicSpline
         Mean covariance within blocks of uu, vv, ww and uw by ln(U/L), relative to Σ of these at one point.
     at_zero : ndarray, shape (4,)
         The covariances at one point.
@@ -148,7 +148,7 @@ class OctaveTheory:
     scan: Scan
     blocks: Blocks
     gamma: float
-    point: CubicSpline
+    point: scipy.interpolate.CubicSpline
     at_zero: FloatArray
     probed: ProbeTable | None = None
 
@@ -272,7 +272,7 @@ def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int
 @one_thread()  # what is kept must not depend on who asked for it first
 def _points(
     n_sample: int, interval: float, begin: float, duration: float, gamma: float
-) -> tuple[Blocks, CubicSpline, FloatArray]:
+) -> tuple[Blocks, scipy.interpolate.CubicSpline, FloatArray]:
     """Return the blocks of a beam's samples, and the table of uu, vv, ww and uw: the same for all points."""
     blocks = Blocks.of(n_sample, interval, begin, duration)
     weights = blocks.weights()
@@ -283,9 +283,9 @@ def _points(
     place = np.arange(0.0, np.arcsinh(np.exp(longest) * lag[-1] / _CORE) + 2.0 * _LAG_STEP, _LAG_STEP)
     unit = MannTurbulence(dissipation=1.0, length_scale=1.0, gamma=gamma)
     along = np.broadcast_to(-_CORE * np.sinh(place), (4, len(place)))
-    between = CubicSpline(place, radial_covariance(*axes, np.zeros((4, 2)), along, unit), axis=1)
+    between = scipy.interpolate.CubicSpline(place, radial_covariance(*axes, np.zeros((4, 2)), along, unit), axis=1)
     table = np.stack([between(np.arcsinh(np.exp(x) * lag / _CORE)) @ weights.T for x in node])
-    return blocks, CubicSpline(node, table), np.asarray(between(0.0))
+    return blocks, scipy.interpolate.CubicSpline(node, table), np.asarray(between(0.0))
 
 
 def _probed(
@@ -308,7 +308,7 @@ def _probed(
                 probe=scan.probe,
                 probe_length=float(scan.probe_length[b]),
             )
-            spline = CubicSpline(place, near / near[:, :1], axis=1)
+            spline = scipy.interpolate.CubicSpline(place, near / near[:, :1], axis=1)
             for s, log_speed in enumerate(log_speeds):
                 found[b, y, :, s] = spline(np.arcsinh(np.exp(log_speed) * lag / core)) @ weights.T
-    return np.asarray(CubicSpline(some, found, axis=2)(nodes))
+    return np.asarray(scipy.interpolate.CubicSpline(some, found, axis=2)(nodes))

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.spectra.octave_theory import LENGTHS, length_nodes
@@ -148,7 +148,7 @@ def _parts(classes: list[NDArray[np.int64]], x: FloatArray) -> Iterator[tuple[ND
 
 
 def _fine(log_density: FloatArray, coarse: FloatArray, node: FloatArray) -> FloatArray:
-    between = CubicSpline(coarse, log_density, axis=1)(node)
+    between = scipy.interpolate.CubicSpline(coarse, log_density, axis=1)(node)
     return np.asarray(np.exp(np.clip(between - between.max(axis=1, keepdims=True), -200.0, 0.0)))
 
 

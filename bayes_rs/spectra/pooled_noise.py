@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.special import logsumexp
+import scipy
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.spectra.octave_likelihood import Octaves
@@ -102,7 +101,9 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
     some = octaves.take(rows)
     density = some.log_likelihood(np.broadcast_to(np.exp(node), (len(rows), len(node))))
     length = _steps(length_nodes()[[0, -1]], _LENGTH_FINE)
-    density = CubicSpline(length_nodes(), CubicSpline(node, density, axis=1)(fine), axis=2)(length)
+    density = scipy.interpolate.CubicSpline(
+        length_nodes(), scipy.interpolate.CubicSpline(node, density, axis=1)(fine), axis=2
+    )(length)
     density = np.exp(density - density.max(axis=(1, 2), keepdims=True))
     usual = float(np.exp(np.mean(np.log(variance[rows])))) if len(rows) else 1.0
     lengths = _length_hypers(length, median, log_sd)
@@ -177,5 +178,5 @@ def _posterior(
 
 
 def _normalised(log_weight: FloatArray) -> FloatArray:
-    of_hyper = logsumexp(log_weight, axis=1)
-    return np.asarray(np.exp(of_hyper - logsumexp(of_hyper)))
+    of_hyper = scipy.special.logsumexp(log_weight, axis=1)
+    return np.asarray(np.exp(of_hyper - scipy.special.logsumexp(of_hyper)))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_count, check_prob
 from bayes_rs.errors import InputError
@@ -195,8 +195,8 @@ def average_spectra(
     return xr.Dataset(
         {
             "spectrum": (both, binned, {"units": "m2 s-2 Hz-1"}),
-            "low": (both, binned * positive / stats.chi2.ppf(1.0 - tail, positive), {"units": "m2 s-2 Hz-1"}),
-            "high": (both, binned * positive / stats.chi2.ppf(tail, positive), {"units": "m2 s-2 Hz-1"}),
+            "low": (both, binned * positive / scipy.stats.chi2.ppf(1.0 - tail, positive), {"units": "m2 s-2 Hz-1"}),
+            "high": (both, binned * positive / scipy.stats.chi2.ppf(tail, positive), {"units": "m2 s-2 Hz-1"}),
             "dof": (both, freedom),
             "n_record": ("beam", known.sum(axis=0)),
         },

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from bayes_rs._validation import FloatArray, check_log_normal, check_non_negative
 from bayes_rs.geometry.scan import Scan
@@ -250,7 +250,7 @@ def _coverage(records: xr.Dataset, scan: Scan, length_scale: float, report: dict
         float(theory_noise(middle, replace(flow, length_scale=scale), **common).covariance[0, 0, 0])
         for scale in (length_scale, report["length_scale"])
     )
-    return float(erf(1.645 * np.sqrt(given / true) / np.sqrt(2.0)))
+    return float(scipy.special.erf(1.645 * np.sqrt(given / true) / np.sqrt(2.0)))
 
 
 def length_words(records: xr.Dataset) -> str:

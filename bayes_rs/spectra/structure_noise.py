@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from bayes_rs._validation import FloatArray
 
@@ -86,8 +86,8 @@ def structure_covariance(autocovariance: FloatArray, present: NDArray[np.bool_],
     pairs = np.zeros((n_lag, n))
     for m in range(1, n_lag + 1):
         pairs[m - 1, : n - m] = present[m:] & present[:-m]
-    size = int(next_fast_len(2 * n, real=True))
-    waves = rfft(pairs, size, axis=-1)
+    size = int(scipy.fft.next_fast_len(2 * n, real=True))
+    waves = scipy.fft.rfft(pairs, size, axis=-1)
     lag = np.arange(-(n - 1), n)
 
     def c(at: NDArray[np.int64]) -> FloatArray:
@@ -97,7 +97,7 @@ def structure_covariance(autocovariance: FloatArray, present: NDArray[np.bool_],
     number = np.maximum(pairs.sum(axis=-1), 1.0)
     for a in range(1, n_lag + 1):
         for b in range(a, n_lag + 1):
-            overlap = irfft(waves[a - 1].conj() * waves[b - 1], size)
+            overlap = scipy.fft.irfft(waves[a - 1].conj() * waves[b - 1], size)
             both = np.round(overlap[lag % size])
             g = c(lag + b - a) - c(lag - a) - c(lag + b) + c(lag)
             covariance[a - 1, b - 1] = 0.5 * np.sum(both * g * g) / (number[a - 1] * number[b - 1])

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from bayes_rs._validation import FloatArray, check_choice, check_non_negative
 from bayes_rs.spectra.octave_likelihood import Octaves, averaged
@@ -115,8 +115,8 @@ class ToldNoise:
         mean, sd = np.empty(len(speed)), np.empty(len(speed))
         for some, share, log_prior, density in self._blocks():
             log_length = -0.5 * ((length_nodes() - centre[some, np.newaxis]) / width) ** 2
-            log_weight = log_prior + logsumexp(density + log_length[:, np.newaxis], axis=2)
-            weight = np.exp(log_weight - logsumexp(log_weight, axis=1, keepdims=True))
+            log_weight = log_prior + scipy.special.logsumexp(density + log_length[:, np.newaxis], axis=2)
+            weight = np.exp(log_weight - scipy.special.logsumexp(log_weight, axis=1, keepdims=True))
             mean[some] = np.sum(weight * share, axis=1)
             sd[some] = np.sqrt(np.sum(weight * (share - mean[some, np.newaxis]) ** 2, axis=1))
         return mean, sd

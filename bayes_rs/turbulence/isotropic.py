@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy import interpolate, special
+import scipy
+from scipy import special
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.processor import one_thread
@@ -33,10 +34,10 @@ _LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
 
 @lru_cache(maxsize=1)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _correlation_spline() -> interpolate.CubicSpline:
+def _correlation_spline() -> scipy.interpolate.CubicSpline:
     log_r = np.linspace(_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION)
     f, g = isotropic_correlation(np.exp(log_r))
-    return interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
+    return scipy.interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
 
 
 def isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray) -> FloatArray:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
-from scipy import optimize
 
 from bayes_rs._validation import FloatArray, check_array, check_non_negative, check_positive
 from bayes_rs.errors import InputError
@@ -159,7 +159,7 @@ def fit_turbulence(stress: ArrayLike, *, length_scale: float, name: str = "fitte
     def residuals(gamma: FloatArray) -> FloatArray:
         return size_at(float(gamma[0]))[1]
 
-    solution = optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         residuals,
         [2.0],
         bounds=([0.0], [_LARGEST_GAMMA]),

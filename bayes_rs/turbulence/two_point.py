@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from bayes_rs._validation import FloatArray, as_numbers, check_array, check_positive
 from bayes_rs.errors import InputError
@@ -324,7 +324,7 @@ class CovarianceTable:
             + facing[:, np.newaxis, np.newaxis, :]
         )
         per_row = pair_weight[0].size if len(y) else 0
-        operator = sparse.csr_array(
+        operator = scipy.sparse.csr_array(
             (pair_weight.ravel(), column.ravel(), per_row * np.arange(len(y) + 1)), shape=(len(y), len(self.values))
         )
         lines = np.ascontiguousarray(operator @ self.values)

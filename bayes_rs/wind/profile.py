@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import stats
 
 from bayes_rs._validation import FloatArray, check_choice, check_non_negative, check_positive, check_switch
 from bayes_rs.errors import InputError
@@ -184,7 +184,7 @@ def wind_profile(
             **_in_words(result, chosen, reference, veer),
             "chi_square": ("record", result.chi_square),
             "degrees_of_freedom": ("record", result.dof),
-            "p_value": ("record", stats.chi2.sf(result.chi_square, np.where(result.dof > 0, result.dof, np.nan))),
+            "p_value": ("record", scipy.stats.chi2.sf(result.chi_square, np.where(result.dof > 0, result.dof, np.nan))),
             "height": (both, height, {"units": "m", "long_name": "height of the measured point above the ground"}),
             "beam_wind_speed": (both, beam_speed, {"units": "m s-1"}),
             "beam_wind_speed_sd": (both, beam_speed_sd, {"units": "m s-1"}),

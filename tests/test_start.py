@@ -1,0 +1,155 @@
+"""What a program loads before its first result: nothing that it does not use. Modules are counted here, not seconds."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import bayes_rs as brs
+
+SCIPY = {
+    f"scipy.{part}"
+    for part in [
+        "special",
+        "linalg",
+        "fft",
+        "interpolate",
+        "spatial",
+        "sparse",
+        "optimize",
+        "stats",
+        "ndimage",
+        "integrate",
+        "signal",
+    ]
+}
+PICTURES = {"matplotlib", "corner"}
+FIT = {
+    "emcee",
+    "loky",
+    "bayes_rs.fits.batch",
+    "bayes_rs.fits.fit_folder",
+    "bayes_rs.posteriors.posterior",
+    "bayes_rs.campaign",
+    "bayes_rs.spectra",
+    "bayes_rs.noise",
+}
+"""What a fit is made of."""
+NEVER = {"arviz", "numba", "scipy.signal"}
+"""What no command uses: corner would load it for objects that it is not given."""
+TABLES = {"pandas", "xarray", "pyarrow", "h5netcdf"}
+LATER = SCIPY - {"scipy.special", "scipy.fft"}
+"""What the modules of a fit leave for their first numbers."""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A folder with a file, and a fit of it."""
+    folder = tmp_path_factory.mktemp("start")
+    series = brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
+    table = series.to_dataframe().reset_index(drop=True)[["time", "beam", "radial_velocity"]]
+    table.to_csv(folder / "day.csv", index=False, date_format="%Y-%m-%dT%H:%M:%S.%f")
+    loaded("command(*'fit day.csv --scan 2-beam -o OUT --sampler direct --ess 100'.split())", folder)
+    return folder
+
+
+def loaded(code, folder=None):
+    """Return the modules that are there after a piece of code in a new process."""
+    program = (
+        "import sys\n"
+        "def command(*words):\n"
+        "    from bayes_rs.cli import main\n"
+        "    sys.argv = ['bayes-rs', *words]\n"
+        "    try: main()\n"
+        "    except SystemExit as end: assert not end.code, end.code\n"
+        f"{code}\n"
+        "print('\\n' + ' '.join(sys.modules))"
+    )
+    done = subprocess.run(  # noqa: S603 - our own
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "MPLBACKEND": "agg"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    ("code", "not_there"),
+    [
+        ("import bayes_rs", {"numpy", "pydantic", *TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("import bayes_rs as brs; brs.load_scan('6-beam')", {*TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("import bayes_rs as brs; brs.read", {*SCIPY, *PICTURES, *FIT - {"loky"}, *NEVER}),
+        ("import bayes_rs as brs; brs.make_records", {*SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("import bayes_rs as brs; brs.load_turbulence('fu-2022')", {*TABLES, *LATER, *PICTURES, *FIT, *NEVER}),
+        ("import bayes_rs as brs; brs.fit", {"emcee", *LATER, *PICTURES, *NEVER}),
+        ("import bayes_rs as brs; brs.open_fit", {"emcee", *LATER, *PICTURES, *NEVER}),
+    ],
+    ids=lambda value: value.rsplit(maxsplit=1)[-1] if isinstance(value, str) else "",
+)
+def test_of_the_package(code, not_there):
+    assert loaded(code) & not_there == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "not_there"),
+    [
+        ("--help", {"numpy", "pydantic", *TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("fit --help", {*TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("scans", {*TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("scans zx-tm", {*TABLES, *SCIPY, *PICTURES, *FIT, *NEVER}),
+    ],
+)
+def test_of_commands_without_files(words, not_there, scene):
+    assert loaded(f"command(*{words!r}.split())", scene) & not_there == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "not_there"),
+    [
+        ("look day.csv", {*PICTURES, *FIT, *NEVER}),
+        ("records day.csv --scan 2-beam -o made.nc --overwrite", {*PICTURES, *FIT - {"loky"}, *NEVER, "scipy.stats"}),
+        ("corner OUT -o corner.png --overwrite", {"emcee", *NEVER, "scipy.stats", "scipy.interpolate"}),
+        ("report OUT -o report.html --overwrite", {"emcee", "corner", *NEVER, "scipy.stats", "scipy.interpolate"}),
+        ("fit day.csv --scan 2-beam -o OUT --overwrite --ess 100", NEVER),
+    ],
+)
+def test_of_commands_of_files(words, not_there, scene):
+    """SciPy itself may be there: what xarray finds installed loads some of it."""
+    assert loaded(f"command(*{words!r}.split())", scene) & not_there == set()
+
+
+def test_what_is_looked_for_is_there_where_it_is_used(scene):
+    """The names above are those of modules, so that one that is never loaded is not so by its spelling."""
+    found = loaded("command(*'fit day.csv --scan 2-beam -o OUT --overwrite --ess 100'.split())", scene)
+    assert {"emcee", "loky", "scipy.stats", "matplotlib", *TABLES, *FIT} <= found
+    found = loaded("import arviz, corner, scipy.signal; import bayes_rs as brs; brs.plot.corner")
+    assert {"arviz", "corner", "scipy.signal"} <= found
+
+
+def test_corner_is_the_one_that_is_installed():
+    """Of the package corner one module is loaded; who imports all of it has the same function for arrays."""
+    code = (
+        "from bayes_rs.plot.corner_plot import _corner_of_arrays\n"
+        "draw = _corner_of_arrays()\n"
+        "assert not {'corner', 'corner.core'} & set(sys.modules)\n"
+        "import corner\n"
+        "assert corner.core.corner_impl.__code__ == draw.__code__"
+    )
+    assert "corner.core" in loaded(code)
+
+
+def test_a_command_sets_garbage_aside(scene):
+    """What modules are made of is not looked through at every 700 new objects, and not at the end."""
+    code = (
+        "import gc, runpy\n"
+        "sys.argv = ['bayes-rs', '--help']\n"
+        "try: runpy.run_module('bayes_rs', run_name='__main__')\n"
+        "except SystemExit: pass\n"
+        "assert gc.isenabled() and gc.get_threshold()[0] == 100_000, gc.get_threshold()"
+    )
+    loaded(code, scene)
