@@ -209,6 +209,12 @@ def nearest_semidefinite(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     nearest = matrices.copy()
     negative_part = np.zeros(len(matrices))
     for index, matrix in enumerate(matrices):
+        try:
+            np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            pass
+        else:  # positive definite, which this tells in a tenth of the time that eigenvalues take
+            continue
         lowest = np.linalg.eigvalsh(matrix)
         if lowest[0] < 0.0:
             values, vectors = np.linalg.eigh(matrix)

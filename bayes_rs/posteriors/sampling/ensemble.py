@@ -46,8 +46,9 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
     Returns
     -------
     chains : Chains
-        The draws. A chain holds walkers of one ensemble, `N_KEPT` steps of one, then those of its neighbour. Of a
-        doubled chain, every second, fourth, … of the last steps is kept.
+        The draws. A chain holds walkers of one ensemble, `N_KEPT` steps of one, then those of its neighbour. A record
+        that falls short has its proposal fitted again, to its draws, and walks on: half as many steps as are then made
+        are thrown away, and every second, fourth, … is kept of the others, so that the draws are as many as before.
     """
     n_draw = kept_draws(effort.target_ess)
     everyone = np.arange(posterior.n_record)
@@ -60,7 +61,9 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
             sampler.refit(going, chains.coordinate[going])
         for start in range(0, len(going), _BATCH):
             records = going[start : start + _BATCH]
-            coordinate, acceptance = sampler.run(N_KEPT * stride, records, stride)
+            if extension:  # what fell short may not have begun at the posterior
+                sampler.run(N_KEPT * stride // 2, records, stage=-extension)
+            coordinate, acceptance = sampler.run(N_KEPT * stride, records, stage=extension, thin_by=stride)
             _keep(posterior.take(records), coordinate, acceptance, stride, records, chains)
         going = np.flatnonzero(chains.missed(effort.target_ess))
         if len(going) == 0:
@@ -176,7 +179,9 @@ class RecordSampler:
         weight = np.full(flat.shape[:2], 1.0 / flat.shape[1])
         self._put(records, self.proposal.take(records).fitted_to(flat, weight))
 
-    def run(self, n_step: int, records: NDArray[np.int64], thin_by: int = 1) -> tuple[FloatArray, FloatArray]:
+    def run(
+        self, n_step: int, records: NDArray[np.int64], *, stage: int = 0, thin_by: int = 1
+    ) -> tuple[FloatArray, FloatArray]:
         """Advance the walkers of some records.
 
         Parameters
@@ -185,6 +190,8 @@ class RecordSampler:
             Number of steps.
         records : ndarray of int, shape (n,)
             Which records.
+        stage : int
+            What tells these steps from the records' others: their points are scrambled by it.
         thin_by : int
             Steps of which one is kept.
 
@@ -200,7 +207,7 @@ class RecordSampler:
         def log_probability(flat: FloatArray) -> FloatArray:
             return posterior.log_density(flat.reshape(len(records), -1, k)).ravel()
 
-        move = _WithinRecordMove(self, posterior, records, n_step)
+        move = _WithinRecordMove(self, posterior, records, n_step, stage)
         sampler = emcee.EnsembleSampler(len(records) * self.n_walker, k, log_probability, moves=move, vectorize=True)
         # the move draws from the records' own streams; emcee picks the move with its own state, so that is set too
         sampler.random_state = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(self.seed))).get_state()
@@ -219,7 +226,9 @@ def _flat(coordinate: FloatArray) -> FloatArray:
 class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]  # emcee has no types
     """Independence proposals and differential evolution, each inside a record."""
 
-    def __init__(self, sampler: RecordSampler, posterior: Posterior, records: NDArray[np.int64], n_step: int) -> None:
+    def __init__(
+        self, sampler: RecordSampler, posterior: Posterior, records: NDArray[np.int64], n_step: int, stage: int
+    ) -> None:
         n_record, n_walker, k = len(records), sampler.n_walker, posterior.n_coordinate
         self._posterior = posterior
         self._proposal = sampler.proposal.take(records)
@@ -227,9 +236,9 @@ class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]  # emcee has no
         self.log_density = sampler.log_density[records]
         self.accepted = np.zeros(n_record)
         self._log_uniform = np.log1p(-sampler.streams.uniform(records, (n_step, n_walker)))
-        self._shared = np.random.default_rng(np.random.SeedSequence([sampler.seed, _STAGE, n_step, k]))
+        self._key = (sampler.seed, _STAGE + stage)
+        self._shared = np.random.default_rng(np.random.SeedSequence([*self._key, k]))
         self._rotation = sampler.rotation[records]
-        self._key = (sampler.seed, _STAGE, n_step)
         self._step = 0
 
     def propose(

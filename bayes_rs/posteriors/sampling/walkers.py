@@ -62,16 +62,17 @@ def diagnose_walkers(draws: FloatArray) -> WalkerDiagnosis:
     what a walker remembers of its last step is in γ₀, a start that neighbours share is in γ₁. It has a relative
     standard error of about √(2/W), and no assumption of how the chain forgets.
     """
-    n_record, n_quantity, _, n_step = draws.shape
-    half = n_step // 2
+    n_record, n_quantity = draws.shape[:2]
     ordered = np.sort(draws.reshape(n_record, n_quantity, -1), axis=-1)
     low, median, high = (quantile_of_ordered(ordered, level) for level in (0.5 - 0.5 * _PROB, 0.5, 0.5 + 0.5 * _PROB))
     mean = draws.mean(axis=(2, 3))
+    steps = np.ascontiguousarray(np.moveaxis(draws, -1, 0))  # step by step, so that walkers are runs of numbers
     with np.errstate(invalid="ignore", divide="ignore"):
-        values = _Halves.of(draws - mean[..., None, None], half)
-        folded = _Halves.of(np.abs(draws - median[..., None, None]), half)
-        bulk = values.effective(n_step)
-        tail = np.minimum(*(_of_share(draws, level) for level in (low, high)))
+        tail = np.minimum(*(_of_share(steps <= level[..., None]) for level in (low, high)))
+        values = _Halves.of(steps - mean[..., None])
+        steps -= median[..., None]
+        folded = _Halves.of(np.abs(steps, out=steps))
+        bulk = values.effective()
         r_hat = np.maximum(values.r_hat(), folded.r_hat())
         drift = np.fmax(values.drift(), folded.drift()).max(axis=1)
     equal = ordered[..., 0] == ordered[..., -1]
@@ -85,65 +86,70 @@ def diagnose_walkers(draws: FloatArray) -> WalkerDiagnosis:
 
 @dataclass(frozen=True)
 class _Halves:
-    """Sums over each walker's early and late steps, (n_record, n_quantity, n_walker), and of their squares."""
+    """Sums over each walker's early and late steps, and over each ensemble's squares in these steps.
+
+    Parameters
+    ----------
+    early, late : ndarray, shape (n_record, n_quantity, N_ENSEMBLE, n_walker)
+        Sums over half of `N_KEPT` steps.
+    square : ndarray, shape (n_record, n_quantity, 2 N_ENSEMBLE)
+        Sums of squares over early steps, then over late ones.
+    """
 
     early: FloatArray
     late: FloatArray
     square: FloatArray
-    size: int
 
     @classmethod
-    def of(cls, values: FloatArray, half: int) -> _Halves:
-        early, late = _sum_of_steps(values[..., :half]), _sum_of_steps(values[..., half:])
-        of_groups = [
-            np.einsum("rqewt,rqewt->rqe", part, part)
-            for part in (_by_ensemble(values[..., :half]), _by_ensemble(values[..., half:]))
-        ]
-        return cls(early, late, np.stack(of_groups, axis=-1), half)
+    def of(cls, steps: FloatArray) -> _Halves:
+        """Sum values, shape (N_KEPT, n_record, n_quantity, n_walker), which are squared in place."""
+        half = N_KEPT // 2
+        early, late = (_by_ensemble(np.add.reduce(part)) for part in (steps[:half], steps[half:]))
+        np.multiply(steps, steps, out=steps)
+        square = [_by_ensemble(np.add.reduce(part)).sum(axis=-1) for part in (steps[:half], steps[half:])]
+        return cls(early, late, np.concatenate(square, axis=-1))
 
-    def effective(self, n_step: int) -> FloatArray:
+    @property
+    def n_walker(self) -> int:
+        """Number of walkers of a record."""
+        return int(self.early.shape[-1] * N_ENSEMBLE)
+
+    def effective(self) -> FloatArray:
         """Return the effective sample size of the mean; the values are about their mean."""
-        variance = self.square.sum(axis=(-2, -1)) / (self.early.shape[-1] * n_step)
-        return np.asarray(variance * self.early.shape[-1] / _spread((self.early + self.late) / n_step))
+        variance = self.square.sum(axis=-1) / (self.n_walker * N_KEPT)
+        return np.asarray(variance * self.n_walker / _spread((self.early + self.late) / N_KEPT))
 
     def r_hat(self) -> FloatArray:
-        n = self.size * self.early.shape[-1] // N_ENSEMBLE  # draws of a group
-        total = np.stack([_by_ensemble(part).sum(axis=-1) for part in (self.early, self.late)], axis=-1)
-        mean = (total / n).reshape(*total.shape[:2], -1)
-        within = (self.square.reshape(mean.shape) - n * mean * mean).mean(axis=-1) / (n - 1.0)
+        """Return the potential scale reduction between the early and late steps of all ensembles."""
+        n = self.early.shape[-1] * (N_KEPT // 2)  # draws of a group
+        mean = np.concatenate([part.sum(axis=-1) / n for part in (self.early, self.late)], axis=-1)
+        within = (self.square - n * mean * mean).mean(axis=-1) / (n - 1.0)
         return np.asarray(np.sqrt((n - 1.0) / n + mean.var(axis=-1, ddof=1) / within))
 
     def drift(self) -> FloatArray:
+        """Return the change from early to late steps in standard errors."""
         change = self.late - self.early
-        mean = change.mean(axis=-1)
-        error = np.sqrt(_spread(change - mean[..., None]) / change.shape[-1])
+        mean = change.mean(axis=(-2, -1))
+        error = np.sqrt(_spread(change - mean[..., None, None]) / self.n_walker)
         return np.asarray(np.abs(mean) / error)
 
 
-def _of_share(draws: FloatArray, level: FloatArray) -> FloatArray:
-    """Return the effective sample size of the share of draws up to a level."""
-    below = draws <= level[..., None, None]
-    count = np.asarray(_sum_of_steps(below.view(np.int8)), dtype=np.float64)
-    share = count.mean(axis=-1) / draws.shape[-1]
-    count /= draws.shape[-1]
-    count -= share[..., None]
-    return np.asarray(share * (1.0 - share) * draws.shape[2] / _spread(count))
+def _of_share(below: NDArray[np.bool_]) -> FloatArray:
+    """Return the effective sample size of the share that is True of (N_KEPT, n_record, n_quantity, n_walker) draws."""
+    count = _by_ensemble(np.add.reduce(below.view(np.int8), dtype=np.int8).astype(np.float64))
+    n_walker = below.shape[-1]
+    count /= N_KEPT
+    share = count.mean(axis=(-2, -1))
+    count -= share[..., None, None]
+    return np.asarray(share * (1.0 - share) * n_walker / _spread(count))
 
 
 def _spread(centred: FloatArray) -> FloatArray:
-    """Return γ₀ + 2 max(γ₁, 0) of walkers (…, n_walker) about their mean; neighbours are those of one ensemble."""
-    of = _by_ensemble(centred)
-    own = np.einsum("rqew,rqew->rq", of, of)
-    beside = np.einsum("rqew,rqew->rq", of[..., 1:], of[..., :-1])
-    return np.asarray((own + 2.0 * np.maximum(beside, 0.0)) / centred.shape[-1])
+    """Return γ₀ + 2 max(γ₁, 0) of walkers (…, N_ENSEMBLE, n) about their mean; neighbours are those of one ensemble."""
+    own = np.sum(centred * centred, axis=(-2, -1))
+    beside = np.sum(centred[..., 1:] * centred[..., :-1], axis=(-2, -1))
+    return np.asarray((own + 2.0 * np.maximum(beside, 0.0)) / (centred.shape[-1] * N_ENSEMBLE))
 
 
-def _by_ensemble(values: FloatArray) -> FloatArray:
-    return values.reshape(*values.shape[:2], N_ENSEMBLE, -1, *values.shape[3:])
-
-
-def _sum_of_steps(values: NDArray[Any]) -> NDArray[Any]:
-    total = values[..., 0].copy()
-    for step in range(1, values.shape[-1]):
-        total += values[..., step]
-    return total
+def _by_ensemble(values: NDArray[Any]) -> NDArray[Any]:
+    return values.reshape(*values.shape[:2], N_ENSEMBLE, -1)
