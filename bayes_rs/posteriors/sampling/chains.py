@@ -23,6 +23,9 @@ DRIFT_LIMIT = 5.0
 BLOCK = 16
 """Chains are a whole number of blocks long: one draw of a block predicts, and half of them stay when chains double."""
 
+_NUMBERS = 32 * 2048
+"""Draws of all records that are sampled together."""
+
 
 @dataclass(frozen=True)
 class Chains:
@@ -112,6 +115,14 @@ def empty_chains(n_record: int, n_draw: int, n_coordinate: int, sampler: str) ->
 def kept_draws(target_ess: int) -> int:
     """Return how many draws of each chain are kept: twice the target in all, in whole blocks, four blocks at least."""
     return max(4 * BLOCK, BLOCK * -(-2 * target_ess // (N_CHAIN * BLOCK)))
+
+
+def records_together(n_draw: int) -> int:
+    """Return how many records with chains of so many draws are sampled together.
+
+    As many as stay in the cache, and enough that what is done once for all of them costs little.
+    """
+    return max(1, _NUMBERS // (N_CHAIN * n_draw))
 
 
 def diagnose_stress(stress: FloatArray) -> tuple[diagnostics.Diagnosis, FloatArray]:

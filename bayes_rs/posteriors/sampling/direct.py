@@ -9,7 +9,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling.candidates import Candidates, resampled
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws, records_together
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.points import rotations
@@ -19,8 +19,6 @@ PILOT = 4
 """One in so many of the first draws comes from the proposal at the mode; the others, from one fitted to those."""
 MOST_PILOT = 1024
 """Draws of an ensemble's pilot, at most."""
-_BATCH = 32
-"""Records that are sampled together: enough that the steps between the sums cost little, few enough for the cache."""
 _RESAMPLING = 0.25
 """Largest variance of the number of copies that systematic resampling makes of one draw."""
 
@@ -67,25 +65,40 @@ def sample_direct(posterior: Posterior, *, streams: RecordStreams, effort: Effor
     proposal = laplace_proposal(posterior)
     rotation = rotations(streams, everyone, N_ENSEMBLE, k)
     chains = empty_chains(n_record, n_draw, k, "direct")
-    left: list[tuple[Candidates, NDArray[np.int64]]] = []
-    for start in range(0, n_record, _BATCH):
-        records = everyone[start : start + _BATCH]
+    batch = records_together(n_draw)
+    for start in range(0, n_record, batch):
+        records = everyone[start : start + batch]
         found = Candidates(posterior.take(records), rotation[records], effort.seed)
         found.draw(proposal.take(records), min(size // PILOT, MOST_PILOT))
         found.draw(found.fitted(), size - found.total_size)
-        left += _keep(found, records, streams, chains, effort)
-    for extension in range(1, effort.max_extension + 1):
-        waiting, left = left, []
-        for found, records in waiting:
-            found.draw(found.fitted(), size * 2**extension - found.total_size)
-            left += _keep(found, records, streams, chains, effort)
+        _keep(found, records, streams, chains)
+        _draw_more(found, records, streams, chains, effort, 1)
     return chains
 
 
-def _keep(
-    found: Candidates, records: NDArray[np.int64], streams: RecordStreams, chains: Chains, effort: Effort
-) -> list[tuple[Candidates, NDArray[np.int64]]]:
-    """Fill the chains of some records from their candidates; return those that fall short."""
+def _draw_more(
+    found: Candidates,
+    records: NDArray[np.int64],
+    streams: RecordStreams,
+    chains: Chains,
+    effort: Effort,
+    extension: int,
+) -> None:
+    """Double the candidates of the records that fall short, and again; fewer records together, the more each has."""
+    short = np.flatnonzero(chains.missed(effort.target_ess)[records])
+    if len(short) == 0 or extension > effort.max_extension:
+        return
+    together = max(1, records_together(chains.stress.shape[2]) // 2**extension)
+    for start in range(0, len(short), together):
+        some = short[start : start + together]
+        part = found.take(some)
+        part.draw(part.fitted(), part.total_size)
+        _keep(part, records[some], streams, chains)
+        _draw_more(part, records[some], streams, chains, effort, extension + 1)
+
+
+def _keep(found: Candidates, records: NDArray[np.int64], streams: RecordStreams, chains: Chains) -> None:
+    """Fill the chains of some records from their candidates."""
     n = len(records)
     weight, log_weight = found.weight()
     n_keep = chains.stress.shape[1] * chains.stress.shape[2]
@@ -102,8 +115,6 @@ def _keep(
     chains.acceptance[records] = 1.0 / (square * weight[0].size)
     chains.n_step[records] = weight[0].size // N_CHAIN
     chains.pareto_k[records] = tail
-    short = np.flatnonzero(chains.missed(effort.target_ess)[records])
-    return [(found.take(short), records[short])] if len(short) else []
 
 
 def _picked(candidate: FloatArray, index: NDArray[np.int64]) -> FloatArray:

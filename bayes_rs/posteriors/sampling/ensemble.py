@@ -12,7 +12,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import StudentProposal, laplace_proposal
 from bayes_rs.posteriors.sampling.candidates import Candidates, evaluate_in_blocks, resampled
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws, records_together
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.points import draws_last, placed, rotations, student_points
 from bayes_rs.posteriors.sampling.streams import RecordStreams
@@ -22,8 +22,6 @@ N_HALF = 2 * N_ENSEMBLE
 """Half ensembles: walkers of one half move along differences of the other's, whose points are scrambled for itself."""
 _DIFFERENTIAL_EVERY = 4
 """Of so many steps the first is differential evolution, the others are independent proposals."""
-_BATCH = 32
-"""Records that are in one ensemble: few enough for the cache."""
 _PILOT = 2
 """One candidate of the proposal at the mode for so many of the one that is fitted to them, of which there is one for
 each walker."""
@@ -54,13 +52,13 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
     everyone = np.arange(posterior.n_record)
     chains = empty_chains(posterior.n_record, n_draw, posterior.n_coordinate, "emcee")
     sampler = RecordSampler(posterior, effort.seed, streams, n_walker=n_draw * N_CHAIN // N_KEPT)
-    going = everyone
+    going, batch = everyone, records_together(n_draw)
     for extension in range(effort.max_extension + 1):
         stride = 2**extension
         if extension:
             sampler.refit(going, chains.coordinate[going])
-        for start in range(0, len(going), _BATCH):
-            records = going[start : start + _BATCH]
+        for start in range(0, len(going), batch):
+            records = going[start : start + batch]
             if extension:  # what fell short may not have begun at the posterior
                 sampler.run(N_KEPT * stride // 2, records, stage=-extension)
             coordinate, acceptance = sampler.run(N_KEPT * stride, records, stage=extension, thin_by=stride)
@@ -155,8 +153,9 @@ class RecordSampler:
         self.coordinate = np.empty((n_record, k, self.n_walker))
         self.log_density = np.empty((n_record, self.n_walker))
         size = self.n_walker // N_HALF
-        for start in range(0, n_record, _BATCH):
-            records = everyone[start : start + _BATCH]
+        batch = records_together(self.n_walker * N_KEPT // N_CHAIN)
+        for start in range(0, n_record, batch):
+            records = everyone[start : start + batch]
             found = Candidates(self.posterior.take(records), self.rotation[records], self.seed)
             found.draw(self.proposal.take(records), size // _PILOT)
             found.draw(found.fitted(), size)
