@@ -236,6 +236,18 @@ class TestStreams:
             np.testing.assert_array_equal(part.coordinate, together.coordinate[some])
             np.testing.assert_array_equal(part.sampler, together.sampler[some])
 
+    def test_a_record_is_the_same_in_any_batch(self, sampler):
+        """More records than are sampled together, so that batches are cut elsewhere when some are left out."""
+        prior = FlatPrior(bound=1e4)
+        likelihood = build(load_scan("6-beam"), 70, WeakPrior(), 15)
+        keys = np.arange(70)
+        together = draw(sampler, likelihood, prior, target_ess=1000, keys=keys)
+        some = np.array([69, 3, 40])
+        part = draw(sampler, likelihood.take(some), prior, target_ess=1000, keys=keys[some])
+        np.testing.assert_array_equal(part.coordinate, together.coordinate[some])
+        np.testing.assert_array_equal(part.stress, together.stress[some])
+        np.testing.assert_array_equal(part.ess_bulk, together.ess_bulk[some])
+
     def test_records_do_not_share_their_numbers(self, sampler):
         prior = WeakPrior()
         likelihood = build(load_scan("6-beam"), 1, prior, 10).take(np.array([0, 0]))
