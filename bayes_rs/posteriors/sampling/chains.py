@@ -44,7 +44,7 @@ class Chains:
     acceptance : ndarray, shape (n_record,)
         Share of proposals that were accepted; of importance draws, the effective share.
     n_step : ndarray of int, shape (n_record,)
-        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
+        Sampler steps that draws were kept from: of each walker of emcee, or draws proposed for each chain.
     pareto_k : ndarray, shape (n_record,)
         Tail shape of the importance weights; NaN for a sampler without weights.
     drift : ndarray, shape (n_record,)
