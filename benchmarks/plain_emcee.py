@@ -13,7 +13,7 @@ from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, diagnose_stress, kept_draws
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
@@ -21,6 +21,8 @@ N_BURN_IN = 500
 """Steps that are thrown away: about seven autocorrelation times of the stretch move in six dimensions."""
 _STRIDE = 64
 """Steps between the draws that are kept of the first, shortest chain."""
+N_WALKER = N_CHAIN // N_ENSEMBLE
+"""Walkers of an ensemble of which one chain is made, with half of the draws from another."""
 _BALL = 0.1
 """Spread of the walkers' first positions in the coordinates, in which the prior's own spread is about 1."""
 
@@ -58,6 +60,7 @@ def sample_plain(posterior: Posterior, *, streams: RecordStreams, effort: Effort
         np.empty((n_record, 6)),
         np.empty(n_record),
         np.empty(n_record, dtype=np.int64),
+        np.full(n_record, np.nan),
         np.full(n_record, np.nan),
         np.full(n_record, "emcee-plain", dtype="U16"),
     )

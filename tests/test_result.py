@@ -161,7 +161,8 @@ class TestFile:
         table = arviz.summary(opened.posterior.isel(record=2), round_to="none")
         assert table.index.tolist() == [f"stress[{name}]" for name in STRESSES]
         ours = result["sample_stats/ess_bulk"].sel(record=2).values
-        np.testing.assert_allclose(table["ess_bulk"], ours, rtol=1e-10)  # the same algorithm: rounding
+        # ours is of walkers, ArviZ's of chains in which walkers of four steps lie end to end
+        np.testing.assert_allclose(table["ess_bulk"], ours, rtol=0.3)
         draws = result["posterior/stress"].sel(record=2)
         np.testing.assert_allclose(table["mean"], draws.mean(("chain", "draw")), rtol=1e-12)
 

@@ -10,11 +10,10 @@ from scenes import draw_variances, plain_noise
 from bayes_rs import load_scan
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.likelihoods.log_normal import LogNormalLikelihood, log_normal_likelihood
-from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.proposal import laplace_proposal
+from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, laplace_proposal
 from bayes_rs.posteriors.sampling import SAMPLERS, sample
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
+from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.ensemble import RecordSampler
@@ -145,18 +144,15 @@ def test_emcee_on_raw_stresses_gives_the_same_posterior():
         return density
 
     rng = np.random.default_rng(8)
-    ours = RecordSampler(Posterior(likelihood, prior), 6, RecordStreams(6, np.arange(1)))
-    start = prior.stress(ours.coordinate)[0]
-    start = start[rng.integers(N_CHAIN, size=64)] * np.exp(0.01 * rng.normal(size=(64, 1)))
+    ours = draw("emcee", likelihood, prior, target_ess=16_000, seed=6)
+    start = ours.stress[0].reshape(-1, 6)[rng.integers(1024, size=64)] * np.exp(0.01 * rng.normal(size=(64, 1)))
     sampler = emcee.EnsembleSampler(64, 6, log_probability, vectorize=True)
     sampler.random_state = np.random.RandomState(1).get_state()
     sampler.run_mcmc(start, 6000)
     plain = sampler.get_chain(discard=500, flat=True)
     effective = len(plain) / max(sampler.get_autocorr_time(quiet=True).max(), 1.0)
-    coordinate, _ = ours.run(1024, np.arange(1))
-    draws = np.moveaxis(prior.stress(coordinate), -1, 1)[0]
-    error = np.sqrt(1.0 / effective + 1.0 / diagnostics.ess_bulk(draws).min()) * plain.std(axis=0)
-    assert np.all(np.abs(draws.reshape(6, -1).mean(axis=1) - plain.mean(axis=0)) < 5.0 * error)
+    error = np.sqrt(1.0 / effective + 1.0 / ours.ess_bulk.min()) * plain.std(axis=0)
+    assert np.all(np.abs(ours.stress[0].reshape(-1, 6).mean(axis=0) - plain.mean(axis=0)) < 5.0 * error)
 
 
 class TestProposal:
@@ -164,7 +160,9 @@ class TestProposal:
         prior = WeakPrior()
         proposal = laplace_proposal(Posterior(build(load_scan("6-beam"), 2, prior, 5), prior))
         rng = np.random.default_rng(9)
-        draws = proposal.transform(rng.standard_normal((2, 200_000, 6)), rng.chisquare(6.0, (2, 200_000)))
+        draws = proposal.transform(
+            rng.standard_normal((2, 200_000, 6)), rng.chisquare(DEGREES_OF_FREEDOM, (2, 200_000))
+        )
         # E[N(x)/q(x)] = 1 for any normalized density N, here a normal one of half the width
         factor = 2.0 * proposal.factor
         whitened = (draws - proposal.mode[:, None]) @ factor.swapaxes(-1, -2)
@@ -238,6 +236,18 @@ class TestStreams:
             np.testing.assert_array_equal(part.coordinate, together.coordinate[some])
             np.testing.assert_array_equal(part.sampler, together.sampler[some])
 
+    def test_a_record_is_the_same_in_any_batch(self, sampler):
+        """More records than are sampled together, so that batches are cut elsewhere when some are left out."""
+        prior = FlatPrior(bound=1e4)
+        likelihood = build(load_scan("6-beam"), 70, WeakPrior(), 15)
+        keys = np.arange(70)
+        together = draw(sampler, likelihood, prior, target_ess=1000, keys=keys)
+        some = np.array([69, 3, 40])
+        part = draw(sampler, likelihood.take(some), prior, target_ess=1000, keys=keys[some])
+        np.testing.assert_array_equal(part.coordinate, together.coordinate[some])
+        np.testing.assert_array_equal(part.stress, together.stress[some])
+        np.testing.assert_array_equal(part.ess_bulk, together.ess_bulk[some])
+
     def test_records_do_not_share_their_numbers(self, sampler):
         prior = WeakPrior()
         likelihood = build(load_scan("6-beam"), 1, prior, 10).take(np.array([0, 0]))
@@ -248,10 +258,12 @@ class TestStreams:
 def test_ensembles_of_a_record_start_apart():
     prior = WeakPrior()
     posterior = Posterior(build(load_scan("6-beam"), 1, prior, 11), prior)
-    sampler = RecordSampler(posterior, 1, RecordStreams(1, np.array([0])))
-    position = sampler.coordinate[0].reshape(N_ENSEMBLE, -1, 6)
-    means = position.mean(axis=1)
-    assert np.abs(means - means.mean(axis=0)).max() < 3.0 * position.std() / np.sqrt(N_CHAIN / N_ENSEMBLE)
+    sampler = RecordSampler(posterior, 1, RecordStreams(1, np.array([0])), n_walker=512)
+    position = sampler.coordinate[0].reshape(6, N_ENSEMBLE, 128)
+    assert len({tuple(part.ravel()) for part in position.swapaxes(0, 1)}) == N_ENSEMBLE
+    means = position.mean(axis=2)
+    spread = position.std(axis=(1, 2))
+    assert np.all(np.abs(means - means.mean(axis=1, keepdims=True)).max(axis=1) < 4.0 * spread / np.sqrt(128))
 
 
 class TestDirect:

@@ -15,7 +15,8 @@ from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_words import probe_words
 from bayes_rs.noise.store import find_shipped_noise
-from bayes_rs.posteriors.sampling.chains import N_CHAIN
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
+from bayes_rs.posteriors.sampling.walkers import N_KEPT
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.sizes import MOMENT, in_time
 from bayes_rs.theory.pairs import seconds_of_pairs
@@ -242,7 +243,7 @@ def _data_steps(scan: Scan, noise: Noise | None, rank: int) -> list[Step]:
 def _sampling(target_ess: int) -> Step:
     return Step(
         "sampling",
-        f"all records in one emcee ensemble, {N_CHAIN} walkers each; burn-in of a few steps",
-        "walkers start at draws of a proposal fitted to each record's mode, resampled to the posterior",
-        f"chains are doubled until every stress has {target_ess} effective draws, or flagged",
+        f"records in emcee ensembles, {kept_draws(target_ess) * N_CHAIN // N_KEPT} walkers each; {N_KEPT} steps",
+        "walkers start at weighted draws of proposals fitted to each record, resampled to the posterior",
+        f"steps are doubled until every stress has {target_ess} effective draws, or flagged",
     )

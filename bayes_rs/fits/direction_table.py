@@ -94,11 +94,17 @@ def contraction_along(
     along = vectors @ back.swapaxes(-1, -2)  # d in the mean-wind frame: (record, direction, 6)
     found = []
     for draws, prior in zip((posterior, _shape(posterior)), of_prior, strict=True):
-        centred = draws - draws.mean(axis=1, keepdims=True)
-        covariance = centred.swapaxes(-1, -2) @ centred / draws.shape[1]
+        covariance = covariance_of(draws)
         spread = [((along @ matrix) * along).sum(axis=-1) for matrix in (covariance, prior)]
         found.append(np.asarray(1.0 - spread[0] / spread[1]))
     return found[0], found[1]
+
+
+def covariance_of(draws: FloatArray, ddof: int = 0) -> FloatArray:
+    """Return the covariances, shape (n_record, n, n), of draws (n_record, n_draw, n)."""
+    components = draws.swapaxes(-1, -2)
+    centred = components - components.mean(axis=-1, keepdims=True)
+    return np.asarray(centred @ centred.swapaxes(-1, -2) / (draws.shape[1] - ddof))
 
 
 def direction_words(direction: FloatArray) -> str:
@@ -128,4 +134,4 @@ def direction_words(direction: FloatArray) -> str:
 
 
 def _shape(stress: FloatArray) -> FloatArray:
-    return np.asarray(stress / stress[..., :3].sum(axis=-1, keepdims=True))
+    return np.asarray(stress / (stress[..., :1] + stress[..., 1:2] + stress[..., 2:3]))

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs.fits.batch import RecordDraws
-from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
+from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, PARETO_K_LIMIT, R_HAT_LIMIT
 
 FLAGS: dict[str, int] = {
     "no_usable_beam": 1,
@@ -125,7 +125,7 @@ def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:
     chains = draws.chains
     flag = np.zeros(len(chains.stress), dtype=np.int64)
     flag[~(chains.ess_bulk.min(axis=1) >= target_ess)] |= FLAGS["short_chain"]
-    flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT)] |= FLAGS["ensembles_differ"]
+    flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT) | (chains.drift > DRIFT_LIMIT)] |= FLAGS["ensembles_differ"]
     flag[chains.pareto_k > PARETO_K_LIMIT] |= FLAGS["weights_uneven"]
     flag[draws.outside] |= FLAGS["outside_noise"]
     return flag

@@ -15,7 +15,7 @@ from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.prepare import record_yaw_sd, used_beams
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.nuisance import UNITS
-from bayes_rs.posteriors.sampling.chains import N_WALKER
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
 
 _UNIT = {"units": "m2 s-2"}
 _PER_RECORD = {
@@ -166,4 +166,4 @@ def _record_coords(fit: FitData) -> dict[str, Any]:
 
 
 def _chains(n_chain: int) -> dict[str, Any]:
-    return {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // N_WALKER)}
+    return {"chain": np.arange(n_chain), "ensemble": ("chain", np.arange(n_chain) // (N_CHAIN // N_ENSEMBLE))}

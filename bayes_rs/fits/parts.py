@@ -15,7 +15,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.fits.batch import Batch, RecordDraws, fit_batch, join_draws
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, PAIRS, PER_RECORD
-from bayes_rs.fits.direction_table import contraction_along
+from bayes_rs.fits.direction_table import contraction_along, covariance_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
 from bayes_rs.fits.least_squares_beside import least_squares_of
@@ -179,8 +179,7 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         summarize_draws(chains.stress, shared.options.derived, batch.wind_speed[rows], shared.options.prob, known),
     )
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
-    centred = flat - flat.mean(axis=1, keepdims=True)
-    matrix = centred.swapaxes(-1, -2) @ centred / (flat.shape[1] - 1.0)
+    matrix = covariance_of(flat, ddof=1)
     along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
     numbers = {
         "stresses_learnt": learnt,

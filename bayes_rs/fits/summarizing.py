@@ -97,7 +97,7 @@ def summarize_draws(
     return {
         "mean": mean,
         "sd": sd,
-        "median": np.median(ordered, axis=-1),
+        "median": diagnostics.quantile_of_ordered(ordered, 0.5),
         "low": low,
         "high": high,
         **_of_record(known or {}, names, n_record),

@@ -118,7 +118,7 @@ class NormalLikelihood(Likelihood):
         """
         with np.errstate(invalid="ignore"):
             residual, log_factor = self._whiten(stress, offset, gradient)
-            square = np.einsum("rds,rds->rd", residual, residual)
+            square = np.sum(residual * residual, axis=-1)
             density = log_factor - half_square(square, self.n_datum, self.dof)
         return np.where(np.isfinite(density), density, -np.inf)
 

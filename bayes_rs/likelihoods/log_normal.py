@@ -82,24 +82,26 @@ class LogNormalLikelihood(NormalLikelihood):
         if self.along_records:
             return self._whiten_along_records(stress, offset, gradient), self.log_normalizer[:, None]
         n_draw, n_beam = stress.shape[1], self.gain.shape[1]
-        residual = np.empty((*stress.shape[:2], self.datum.shape[1]))
+        # in memory, draws are last: each beam and each direction is a run of numbers
+        residual = np.empty((self.n_record, self.datum.shape[1], n_draw))
+        components = stress.swapaxes(-1, -2)
         n_together = max(1, _BLOCK // max(1, n_draw * n_beam))
         n_of_draws = max(1, _BLOCK // n_beam)
         for first in range(0, self.n_record, n_together):
             part = slice(first, first + n_together)
-            gain, whitening = self.gain[part].swapaxes(-1, -2), self.whitening[part].swapaxes(-1, -2)
             for start in range(0, n_draw, n_of_draws):
                 draws = slice(start, start + n_of_draws)
-                mean = stress[part, draws] @ gain
+                mean = self.gain[part] @ components[part, :, draws]
                 if self.place is not None and gradient is not None:
-                    mean *= np.exp(gradient[part, draws] @ self.place[part].swapaxes(-1, -2))
-                mean += self.offset[part, None, :]
+                    mean *= np.exp(self.place[part] @ gradient[part, draws].swapaxes(-1, -2))
+                mean += self.offset[part, :, None]
                 if offset is not None:
-                    mean += offset[part, draws, None]
+                    mean += offset[part, None, draws]
                 with np.errstate(invalid="ignore", divide="ignore"):  # see NormalLikelihood
                     log_mean = np.log(mean, out=mean)
-                residual[part, draws] = self.datum[part, None, :] - log_mean @ whitening
-        return residual, self.log_normalizer[:, None]
+                whitened = self.whitening[part] @ log_mean
+                np.subtract(self.datum[part, :, None], whitened, out=residual[part, :, draws])
+        return residual.swapaxes(-1, -2), self.log_normalizer[:, None]
 
     def _whiten_along_records(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None

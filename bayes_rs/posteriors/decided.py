@@ -15,6 +15,10 @@ _RANK = 1e-6
 """A direction whose variance under the prior is below this share of the largest is fixed by the prior."""
 _ROWS, _COLUMNS = (0, 0, 1), (1, 2, 2)
 """The two variances that each of uv, uw, vw stands between."""
+_LOGARITHM, _ADDED = np.array([(0, 0, 0), (0, 1, 2)]), np.array([False, True, True])
+"""ln uu, ln vv and ln ww are the first of x, to which for the last two another is added."""
+_BATCH = 32
+"""Records whose draws are looked at together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,19 +123,45 @@ def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray,
     zero where it comes out below. With n effective draws the standard error of a share near 0 is about 1/√n, that of a
     share near 1 about that of its posterior's logarithm over r times n^(-1/2), and that of learnt √(2 Σ λ²/n).
     """
-    n_record = len(stress)
-    of_ensemble = stress.reshape(n_record, N_ENSEMBLE, -1, len(STRESSES))
-    with np.errstate(invalid="ignore", divide="ignore"):  # tensors at the edge by rounding: NaN
-        standard = (log_ratios_from_stress(of_ensemble) - prior.mean) @ prior.standard
-    size = np.sqrt(of_ensemble[..., _ROWS] * of_ensemble[..., _COLUMNS]).mean(axis=(1, 2), keepdims=True)
-    quantity = np.concatenate([np.log(of_ensemble[..., :3]), of_ensemble[..., 3:] / size], axis=-1)
+    found = [_of_some(stress[first : first + _BATCH], prior) for first in range(0, len(stress), _BATCH)]
+    decided, learnt = zip(*found, strict=True)
+    return np.concatenate(decided), np.concatenate(learnt)
+
+
+def _of_some(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
+    """Return the same of so few records that their draws stay in the cache."""
+    n_stress = len(STRESSES)
+    of_ensemble = stress.reshape(len(stress), N_ENSEMBLE, -1, n_stress)
     n_draw = of_ensemble.shape[2]
-    centred = standard - standard.mean(axis=2, keepdims=True)
-    moved = centred.swapaxes(-1, -2) @ (quantity - quantity.mean(axis=2, keepdims=True)) / (n_draw - 1.0)
-    of_size = np.abs(moved[:, :, 0].mean(axis=1)) / prior.size_sd
-    products = moved[:, :, 1:].sum(axis=1) ** 2 - (moved[:, :, 1:] ** 2).sum(axis=1)
-    square = products.sum(axis=1) / (N_ENSEMBLE * (N_ENSEMBLE - 1.0))
-    fixed = prior.room <= np.sqrt(_RANK)
-    of_shape = np.where(fixed, 1.0, np.sqrt(np.maximum(square, 0.0)) / np.where(fixed, 1.0, prior.room))
-    flat = standard.reshape(n_record, N_ENSEMBLE * n_draw, -1)
-    return 1.0 - np.maximum(of_size, of_shape), flat.shape[2] - flat.var(axis=1, ddof=1).sum(axis=1)
+    # all that is needed are moments of x and of the covariances uv, uw, vw: ln vv and ln ww are sums of x
+    joint = np.empty((len(stress), n_stress + 3, N_ENSEMBLE, n_draw))
+    columns = np.moveaxis(joint, 1, -1)
+    with np.errstate(invalid="ignore", divide="ignore"):  # tensors at the edge by rounding: NaN
+        columns[..., :n_stress] = log_ratios_from_stress(of_ensemble)
+        columns[..., n_stress:] = of_ensemble[..., 3:]
+        size = np.stack(
+            [
+                np.sqrt(of_ensemble[..., row] * of_ensemble[..., column]).mean(axis=(1, 2))
+                for row, column in zip(_ROWS, _COLUMNS, strict=True)
+            ],
+            axis=-1,
+        )
+        mean = joint.mean(axis=-1)  # (record, quantity, ensemble)
+        joint -= mean[..., None]
+        centred = joint.swapaxes(1, 2)
+        covariance = centred @ centred.swapaxes(-1, -2) / (n_draw - 1.0)  # (record, ensemble, quantity, quantity)
+        of_inner = covariance[:, :, :n_stress]
+        logarithms = of_inner[..., _LOGARITHM[0]] + np.where(_ADDED, of_inner[..., _LOGARITHM[1]], 0.0)
+        relative = of_inner[..., n_stress:] / size[:, None, None, :]
+        moved = prior.standard.T @ np.concatenate([logarithms, relative], axis=-1)
+        of_size = np.abs(moved[:, :, 0].mean(axis=1)) / prior.size_sd
+        products = moved[:, :, 1:].sum(axis=1) ** 2 - (moved[:, :, 1:] ** 2).sum(axis=1)
+        square = products.sum(axis=1) / (N_ENSEMBLE * (N_ENSEMBLE - 1.0))
+        fixed = prior.room <= np.sqrt(_RANK)
+        of_shape = np.where(fixed, 1.0, np.sqrt(np.maximum(square, 0.0)) / np.where(fixed, 1.0, prior.room))
+        # the covariance of all ensembles' draws: within them, and between their means
+        apart = mean[:, :n_stress] - mean[:, :n_stress].mean(axis=-1, keepdims=True)
+        whole = (n_draw - 1.0) * of_inner[..., :n_stress].sum(axis=1) + n_draw * apart @ apart.swapaxes(-1, -2)
+        whole /= N_ENSEMBLE * n_draw - 1.0
+        spread = np.einsum("kp,rkl,lp->r", prior.standard, whole, prior.standard, optimize=False)
+    return 1.0 - np.maximum(of_size, of_shape), prior.standard.shape[1] - spread

@@ -51,7 +51,9 @@ class Posterior:
 
     def seen(self, coordinate: FloatArray) -> Seen:
         """Return what the likelihood takes at coordinates (n_record, n_draw, n)."""
-        stress = self.stress(coordinate)
+        return self._seen_of(self.stress(coordinate), coordinate)
+
+    def _seen_of(self, stress: FloatArray, coordinate: FloatArray) -> Seen:
         if self.nuisances.n_coordinate == 0:
             return Seen(stress)
         return self.nuisances.apply(stress, coordinate[..., self.prior.n_coordinate :])
@@ -66,7 +68,14 @@ class Posterior:
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-posterior up to a constant of the record, (n_record, n_draw), at (n_record, n_draw, n)."""
-        return self.likelihood.log_density(*self.seen(coordinate)) + self.log_prior(coordinate)
+        return self.evaluate(coordinate)[0]
+
+    def evaluate(self, coordinate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-posterior, as `log_density`, and the stresses (n_record, n_draw, 6) that it is of, m² s⁻²."""
+        stress = self.stress(coordinate)
+        density = self.likelihood.log_density(*self._seen_of(stress, coordinate))
+        density += self.log_prior(coordinate)
+        return density, stress
 
     def take(self, records: NDArray[np.int64]) -> Posterior:
         """Return the posterior of some of the records."""

@@ -11,7 +11,8 @@ from scipy.special import gammaln
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 
-DEGREES_OF_FREEDOM = 6.0
+DEGREES_OF_FREEDOM = 8.0
+"""Of eight, weights are the most even once the proposal is fitted to draws, and their tails light enough before."""
 _FLAT_ENOUGH = 1e-3
 """A record stops when a step gains less than this in log-posterior, or no step longer than this gains anything."""
 _LONGEST_STEP = 3.0
@@ -20,6 +21,10 @@ _LEAST_BEND = 1e-2
 """Least curvature of the log-prior that the proposal uses: it may be too wide, never without bound."""
 _STEP = 1e-4
 """Central difference step of the coordinates; it only shapes the proposal, never the posterior."""
+_OWN_WEIGHT = 12.0
+"""Effective draws that a proposal's own moments count for when it is fitted to draws: two for each coordinate."""
+_ROOM = 1.15
+"""Factor of the covariance of a fitted proposal: what is left of the bias of skewed posteriors halves with it."""
 
 
 @dataclass(frozen=True)
@@ -40,32 +45,68 @@ class StudentProposal:
     factor: FloatArray
     n_iteration: int
 
+    @property
+    def root(self) -> FloatArray:
+        """F⁻¹, shape (n_record, n, n): it turns standard numbers into distances from the mode."""
+        return np.asarray(np.linalg.solve(self.factor, np.eye(self.factor.shape[-1])))
+
     def transform(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
         """Turn normal (n_record, n_draw, n) and χ² (n_record, n_draw) numbers into draws (n_record, n_draw, n)."""
         scaled = normal * np.sqrt(DEGREES_OF_FREEDOM / chi_square)[..., None]
-        # one small triangular system a record, then a product with all its draws
-        root = np.linalg.solve(self.factor, np.eye(self.factor.shape[-1])).swapaxes(-1, -2)
-        return np.asarray(self.mode[:, None, :] + scaled @ root)
+        return np.asarray(self.mode[:, None, :] + scaled @ self.root.swapaxes(-1, -2))
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density, shape (n_record, n_draw), at coordinates (n_record, n_draw, n)."""
-        whitened = (coordinate - self.mode[:, None, :]) @ self.factor.swapaxes(-1, -2)
-        return self._density(np.einsum("rdk,rdk->rd", whitened, whitened))
+        whitened = self.factor @ (coordinate - self.mode[:, None, :]).swapaxes(-1, -2)
+        return self.log_density_at(np.sum(whitened * whitened, axis=-2))
 
     def log_density_of(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
         """Return the log-density, shape (n_record, n_draw), of the draws that `transform` makes of these numbers."""
-        return self._density(np.einsum("rdk,rdk->rd", normal, normal) * (DEGREES_OF_FREEDOM / chi_square))
+        return self.log_density_at(np.sum(normal * normal, axis=-1) * (DEGREES_OF_FREEDOM / chi_square))
 
-    def _density(self, square: FloatArray) -> FloatArray:
+    def log_density_at(self, square: FloatArray) -> FloatArray:
+        """Return the log-density, shape (n_record, n_draw), at squared distances |F (x − mode)|² from the mode."""
         n = self.mode.shape[-1]
         half = 0.5 * (DEGREES_OF_FREEDOM + n)
         constant = gammaln(half) - gammaln(0.5 * DEGREES_OF_FREEDOM) - 0.5 * n * np.log(DEGREES_OF_FREEDOM * np.pi)
         log_volume = np.log(np.abs(np.einsum("rkk->rk", self.factor))).sum(axis=1)
-        return np.asarray(constant + log_volume[:, None] - half * np.log1p(square / DEGREES_OF_FREEDOM))
+        density = np.log1p(square * (1.0 / DEGREES_OF_FREEDOM))
+        density *= -half
+        return np.asarray(density + (constant + log_volume[:, None]))  # squares may be shared by all records
 
     def take(self, records: NDArray[np.int64]) -> StudentProposal:
         """Return the proposal of some of the records."""
         return StudentProposal(self.mode[records], self.factor[records], self.n_iteration)
+
+    def fitted_to(self, coordinate: FloatArray, weight: FloatArray) -> StudentProposal:
+        """Return the proposal with the moments of weighted draws, as far as there are draws to tell them.
+
+        Parameters
+        ----------
+        coordinate : ndarray, shape (n_record, n_draw, n)
+            Draws.
+        weight : ndarray, shape (n_record, n_draw)
+            Their weights, which sum to 1.
+
+        Returns
+        -------
+        proposal : StudentProposal
+            Its mean is that of the draws and its covariance `_ROOM` times theirs, together with the old ones as of
+            `_OWN_WEIGHT` draws.
+        """
+        effective = 1.0 / np.sum(weight * weight, axis=1)
+        share = (effective / (effective + _OWN_WEIGHT))[:, None]
+        mean = (coordinate.swapaxes(-1, -2) @ weight[:, :, None])[..., 0]
+        centred = (coordinate - mean[:, None, :]).swapaxes(-1, -2)
+        covariance = (centred * weight[:, None, :]) @ centred.swapaxes(-1, -2)
+        root, apart = self.root, mean - self.mode
+        own = root @ root.swapaxes(-1, -2) + share[..., None] * (apart[:, :, None] * apart[:, None, :])
+        share_of_matrix = share[..., None]
+        return self.refitted(
+            np.arange(len(mean)),
+            share * mean + (1.0 - share) * self.mode,
+            _ROOM * (share_of_matrix * covariance + (1.0 - share_of_matrix) * own),
+        )
 
     def refitted(self, records: NDArray[np.int64], mean: FloatArray, covariance: FloatArray) -> StudentProposal:
         """Return the proposal with another mean (n, k) and covariance (n, k, k) for some of the records.
@@ -73,7 +114,9 @@ class StudentProposal:
         A covariance that is not that of a spread in all directions says nothing: such a record keeps its proposal.
         """
         mode, factor = self.mode.copy(), self.factor.copy()
-        spread = np.linalg.eigvalsh(covariance)[:, 0] > 1e-8
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(covariance.sum(axis=(1, 2)) + mean.sum(axis=1))
+        spread = np.asarray(known & (np.linalg.eigvalsh(np.where(known[:, None, None], covariance, 0.0))[:, 0] > 1e-8))
         mode[records[spread]] = mean[spread]
         root = np.linalg.cholesky(covariance[spread])
         # F with Fᵀ F = C⁻¹ is the inverse of C's Cholesky factor: lower triangular serves as well

@@ -271,11 +271,11 @@ def draw_sonic(
     )
     walked = np.flatnonzero(np.isnan(chains.pareto_k))
     if len(walked):
-        found, time = diagnose_stress(sonic[walked])
+        found, _ = diagnose_stress(sonic[walked])
         drawn_chains.ess_bulk[walked], drawn_chains.ess_tail[walked] = found.ess_bulk, found.ess_tail
         drawn_chains.r_hat[walked] = found.r_hat
-        stride = chains.n_step[walked] / chains.stress.shape[2]
-        drawn_chains.autocorrelation_time[walked] = time * stride[:, np.newaxis]
+        # steps for each effective draw: as many more as there are fewer effective draws
+        drawn_chains.autocorrelation_time[walked] *= chains.ess_bulk[walked] / found.ess_bulk
     return drawn_chains, clipped
 
 

@@ -83,7 +83,7 @@ class NormalPrior(Prior):
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density of the coordinates, which are independent and standard normal."""
-        square = np.sum(coordinate**2, axis=-1, dtype=np.float64)
+        square = np.sum(coordinate * coordinate, axis=-1, dtype=np.float64)
         return np.asarray(-0.5 * square - 0.5 * self.n_coordinate * np.log(2.0 * np.pi))
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
@@ -106,9 +106,14 @@ class LogRatioPrior(NormalPrior):
 
     def stress(self, coordinate: FloatArray) -> FloatArray:
         """Map coordinates to stresses."""
-        inner = self.centre + self.spread * coordinate
-        log_uu, log_vv, log_ww = inner[..., 0], inner[..., 0] + inner[..., 1], inner[..., 0] + inner[..., 2]
-        return stress_from_correlations(log_uu, log_vv, log_ww, np.tanh(inner[..., 3:]), out=np.empty_like(inner))
+        inner = self.spread * coordinate  # keeps the layout in memory: components may come first there
+        inner += self.centre
+        log_uu, rho = inner[..., 0], inner[..., 3:]
+        log_vv, log_ww = inner[..., 1], inner[..., 2]
+        log_vv += log_uu
+        log_ww += log_uu
+        np.tanh(rho, out=rho)
+        return stress_from_correlations(log_uu, log_vv, log_ww, rho, out=np.empty_like(inner))
 
     def coordinate(self, stress: FloatArray) -> FloatArray:
         """Return the coordinates, shape (..., 6), of positive definite stresses, shape (..., 6), m² s⁻²."""
@@ -129,14 +134,17 @@ def stress_from_correlations(
 ) -> FloatArray:
     """Build stresses from log-variances and (ρ_uv, ρ_uw, partial ρ_vw·u); realizable for every |ρ| ≤ 1."""
     rho_uv, rho_uw, partial = rho[..., 0], rho[..., 1], rho[..., 2]
-    rho_vw = rho_uv * rho_uw + partial * np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
     stress = np.empty((*log_uu.shape, N_COORDINATE)) if out is None else out
-    stress[..., 0] = np.exp(log_uu)
-    stress[..., 1] = np.exp(log_vv)
-    stress[..., 2] = np.exp(log_ww)
-    stress[..., 3] = rho_uv * np.exp(0.5 * (log_uu + log_vv))
-    stress[..., 4] = rho_uw * np.exp(0.5 * (log_uu + log_ww))
-    stress[..., 5] = rho_vw * np.exp(0.5 * (log_vv + log_ww))
+    uu, vv, ww, uv, uw, vw = (stress[..., index] for index in range(N_COORDINATE))
+    sd_u, sd_v, sd_w = (np.exp(0.5 * half) for half in (log_uu, log_vv, log_ww))
+    np.sqrt((1.0 - rho_uv * rho_uv) * (1.0 - rho_uw * rho_uw), out=vw)
+    np.multiply(vw, partial, out=vw)
+    np.add(vw, np.multiply(rho_uv, rho_uw, out=uv), out=vw)  # ρ_vw
+    np.multiply(vw, sd_v * sd_w, out=vw)
+    np.multiply(rho_uv, np.multiply(sd_u, sd_v, out=uv), out=uv)
+    np.multiply(rho_uw, np.multiply(sd_u, sd_w, out=uw), out=uw)
+    for sd, variance in ((sd_u, uu), (sd_v, vv), (sd_w, ww)):
+        np.multiply(sd, sd, out=variance)
     return stress
 
 
@@ -145,12 +153,18 @@ def log_ratios_from_stress(stress: FloatArray) -> FloatArray:
 
     That is the inverse of `stress_from_correlations`. What is not realizable, or is at the edge, is not finite.
     """
-    uu, vv, ww, uv, uw, vw = np.moveaxis(stress, -1, 0)
-    rho_uv, rho_uw, rho_vw = uv / np.sqrt(uu * vv), uw / np.sqrt(uu * ww), vw / np.sqrt(vv * ww)
-    partial = (rho_vw - rho_uv * rho_uw) / np.sqrt((1.0 - rho_uv**2) * (1.0 - rho_uw**2))
-    found = np.empty(stress.shape)
-    for index, value in enumerate((uu, vv / uu, ww / uu)):
-        np.log(value, out=found[..., index])
-    for index, value in enumerate((rho_uv, rho_uw, partial)):
-        np.arctanh(value, out=found[..., 3 + index])
+    uu, _, _, uv, uw, vw = (stress[..., index] for index in range(N_COORDINATE))
+    root = np.sqrt(stress[..., :3])
+    sd_u, sd_v, sd_w = root[..., 0], root[..., 1], root[..., 2]
+    found = np.empty_like(stress)  # keeps the layout in memory
+    rho_uv, rho_uw, partial = found[..., 3], found[..., 4], found[..., 5]
+    np.divide(uv, sd_u * sd_v, out=rho_uv)
+    np.divide(uw, sd_u * sd_w, out=rho_uw)
+    np.divide(vw, sd_v * sd_w, out=partial)
+    partial -= rho_uv * rho_uw
+    partial /= np.sqrt((1.0 - rho_uv * rho_uv) * (1.0 - rho_uw * rho_uw))
+    np.arctanh(found[..., 3:], out=found[..., 3:])
+    np.divide(stress[..., 1:3], stress[..., :1], out=found[..., 1:3])
+    found[..., 0] = uu
+    np.log(found[..., :3], out=found[..., :3])
     return found

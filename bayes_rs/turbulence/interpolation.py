@@ -208,14 +208,19 @@ def nearest_semidefinite(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     nearest = matrices.copy()
     negative_part = np.zeros(len(matrices))
-    if not len(matrices):
-        return nearest, negative_part
-    every = np.linalg.eigvalsh(matrices)  # one after the other, but in one call
-    for index in np.flatnonzero(every[:, 0] < 0.0).tolist():
-        values, vectors = np.linalg.eigh(matrices[index])
-        kept = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        nearest[index] = 0.5 * (kept + kept.T)
-        negative_part[index] = -every[index, 0] / every[index, -1]
+    for index, matrix in enumerate(matrices):
+        try:
+            np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            pass
+        else:  # positive definite, which this tells in a tenth of the time that eigenvalues take
+            continue
+        lowest = np.linalg.eigvalsh(matrix)
+        if lowest[0] < 0.0:
+            values, vectors = np.linalg.eigh(matrix)
+            kept = (vectors * np.maximum(values, 0.0)) @ vectors.T
+            nearest[index] = 0.5 * (kept + kept.T)
+            negative_part[index] = -lowest[0] / lowest[-1]
     return nearest, negative_part
 
 

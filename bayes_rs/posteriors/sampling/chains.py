@@ -12,15 +12,19 @@ from bayes_rs.posteriors import diagnostics
 
 N_ENSEMBLE = 4
 """Independent ensembles of a record; R-hat compares them."""
-N_WALKER = 8
-"""Walkers of one ensemble."""
-N_CHAIN = N_ENSEMBLE * N_WALKER
+N_CHAIN = 8 * N_ENSEMBLE
+"""Chains in which the draws of a record are laid out; those of one ensemble are neighbours."""
 R_HAT_LIMIT = 1.05
 """Ensembles of a record that differ by more than this have not found the same posterior."""
 PARETO_K_LIMIT = 0.7
 """Importance weights with a heavier tail than this cannot be trusted (Vehtari et al. 2024)."""
+DRIFT_LIMIT = 5.0
+"""Early and late steps that differ by more standard errors than this: the start was not the posterior."""
 BLOCK = 16
 """Chains are a whole number of blocks long: one draw of a block predicts, and half of them stay when chains double."""
+
+_NUMBERS = 32 * 2048
+"""Draws of all records that are sampled together."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +44,11 @@ class Chains:
     acceptance : ndarray, shape (n_record,)
         Share of proposals that were accepted; of importance draws, the effective share.
     n_step : ndarray of int, shape (n_record,)
-        Sampler steps after burn-in; of each n_step / n_draw of them one is kept.
+        Sampler steps that draws were kept from: of each walker of emcee, or draws proposed for each chain.
     pareto_k : ndarray, shape (n_record,)
         Tail shape of the importance weights; NaN for a sampler without weights.
+    drift : ndarray, shape (n_record,)
+        Change from a walker's early to its late steps, in standard errors; NaN for a sampler that does not tell.
     sampler : ndarray of str, shape (n_record,)
         Which sampler made the draws.
     """
@@ -56,6 +62,7 @@ class Chains:
     acceptance: FloatArray
     n_step: NDArray[np.int64]
     pareto_k: FloatArray
+    drift: FloatArray
     sampler: NDArray[np.str_]
 
     def missed(self, target_ess: float) -> NDArray[np.bool_]:
@@ -64,7 +71,14 @@ class Chains:
             ~(self.ess_bulk.min(axis=1) >= target_ess)
             | ~(self.r_hat.max(axis=1) <= R_HAT_LIMIT)
             | (self.pareto_k > PARETO_K_LIMIT)
+            | (self.drift > DRIFT_LIMIT)
         )
+
+    def put_draws(self, records: NDArray[np.int64], coordinate: FloatArray, stress: FloatArray) -> None:
+        """Enter draws of some records, (n, n_draw, k) and (n, n_draw, 6), chain after chain."""
+        for record, some, tensors in zip(records, coordinate, stress, strict=True):  # each a copy in memory's own order
+            self.coordinate[record] = some.reshape(self.coordinate.shape[1:])
+            self.stress[record] = tensors.reshape(self.stress.shape[1:])
 
     def take(self, records: NDArray[np.int64]) -> Chains:
         """Return the draws of some of the records."""
@@ -76,9 +90,39 @@ class Chains:
             getattr(self, name)[records] = getattr(others, name)
 
 
+def empty_chains(n_record: int, n_draw: int, n_coordinate: int, sampler: str) -> Chains:
+    """Return chains to be filled. In memory each coordinate and each stress of a record is a run of numbers.
+
+    Until a sampler says otherwise, draws are independent, there are no weights, and nothing drifts.
+    """
+    shape = (n_record, N_CHAIN, n_draw)
+    coordinate, stress = (np.empty((n_record, n, *shape[1:])) for n in (n_coordinate, 6))
+    return Chains(
+        np.moveaxis(coordinate, 1, -1),
+        np.moveaxis(stress, 1, -1),
+        np.full((n_record, 6), np.nan),
+        np.full((n_record, 6), np.nan),
+        np.full((n_record, 6), np.nan),
+        np.ones((n_record, 6)),
+        np.full(n_record, np.nan),
+        np.full(n_record, n_draw),
+        np.full(n_record, np.nan),
+        np.full(n_record, np.nan),
+        np.full(n_record, sampler, dtype="U16"),
+    )
+
+
 def kept_draws(target_ess: int) -> int:
     """Return how many draws of each chain are kept: twice the target in all, in whole blocks, four blocks at least."""
     return max(4 * BLOCK, BLOCK * -(-2 * target_ess // (N_CHAIN * BLOCK)))
+
+
+def records_together(n_draw: int) -> int:
+    """Return how many records with chains of so many draws are sampled together.
+
+    As many as stay in the cache, and enough that what is done once for all of them costs little.
+    """
+    return max(1, _NUMBERS // (N_CHAIN * n_draw))
 
 
 def diagnose_stress(stress: FloatArray) -> tuple[diagnostics.Diagnosis, FloatArray]:

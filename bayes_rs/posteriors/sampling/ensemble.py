@@ -10,25 +10,27 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal, laplace_proposal
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, N_WALKER, Chains, diagnose_stress, kept_draws
+from bayes_rs.posteriors.proposal import StudentProposal, laplace_proposal
+from bayes_rs.posteriors.sampling.candidates import Candidates, evaluate_in_blocks, resampled
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws, records_together
 from bayes_rs.posteriors.sampling.effort import Effort
+from bayes_rs.posteriors.sampling.points import draws_last, placed, rotations, student_points
 from bayes_rs.posteriors.sampling.streams import RecordStreams
+from bayes_rs.posteriors.sampling.walkers import N_KEPT, diagnose_walkers
 
-N_BURN_IN = 16
-"""Steps that are thrown away: the walkers start at draws of the proposal that were resampled to the posterior."""
-N_CANDIDATE = 256
-"""Draws of the proposal from which the walkers' first positions are resampled."""
-POOR_ACCEPTANCE = 0.4
-"""A record whose burn-in accepts less than this has its proposal fitted again, to the burn-in."""
-_STRIDE = 2
-"""Steps between draws that are kept, which is about the autocorrelation time."""
+N_HALF = 2 * N_ENSEMBLE
+"""Half ensembles: walkers of one half move along differences of the other's, whose points are scrambled for itself."""
 _DIFFERENTIAL_EVERY = 4
-"""Every so many steps the move is differential evolution instead of an independent proposal."""
+"""Of so many steps the first is differential evolution, the others are independent proposals."""
+_PILOT = 2
+"""One candidate of the proposal at the mode for so many of the one that is fitted to them, of which there is one for
+each walker."""
+_STAGE = 1000
+"""Tells the points of the chain's steps from those of the candidates that it starts from."""
 
 
 def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort) -> Chains:
-    """Sample records with one emcee ensemble; double the chains of those that miss the target, up to a budget.
+    """Sample records with emcee ensembles of many walkers and few steps; double the steps of those that fall short.
 
     Parameters
     ----------
@@ -42,48 +44,50 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
     Returns
     -------
     chains : Chains
-        The draws; a doubled chain is thinned to the length of the others.
+        The draws. A chain holds walkers of one ensemble, `N_KEPT` steps of one, then those of its neighbour. A record
+        that falls short has its proposal fitted again, to its draws, and walks on: half as many steps as are then made
+        are thrown away, and every second, fourth, … is kept of the others, so that the draws are as many as before.
     """
     n_draw = kept_draws(effort.target_ess)
-    sampler = RecordSampler(posterior, effort.seed, streams)
     everyone = np.arange(posterior.n_record)
-    coordinate, acceptance = sampler.run(_STRIDE * n_draw, everyone)
-    coordinate = np.ascontiguousarray(coordinate[:, :, _STRIDE - 1 :: _STRIDE])
-    stress = posterior.stress(coordinate)
-    found, time = diagnose_stress(stress)
-    chains = Chains(
-        coordinate,
-        stress,
-        found.ess_bulk,
-        found.ess_tail,
-        found.r_hat,
-        time * _STRIDE,
-        acceptance,
-        np.full(len(everyone), _STRIDE * n_draw),
-        np.full(len(everyone), np.nan),
-        np.full(len(everyone), "emcee", dtype="U16"),
-    )
-    for extension in range(effort.max_extension):
-        missing = np.flatnonzero(chains.missed(effort.target_ess))
-        if len(missing) == 0:
+    chains = empty_chains(posterior.n_record, n_draw, posterior.n_coordinate, "emcee")
+    sampler = RecordSampler(posterior, effort.seed, streams, n_walker=n_draw * N_CHAIN // N_KEPT)
+    going, batch = everyone, records_together(n_draw)
+    for extension in range(effort.max_extension + 1):
+        stride = 2**extension
+        if extension:
+            sampler.refit(going, chains.coordinate[going])
+        for start in range(0, len(going), batch):
+            records = going[start : start + batch]
+            if extension:  # what fell short may not have begun at the posterior
+                sampler.run(N_KEPT * stride // 2, records, stage=-extension)
+            coordinate, acceptance = sampler.run(N_KEPT * stride, records, stage=extension, thin_by=stride)
+            _keep(posterior.take(records), coordinate, acceptance, stride, records, chains)
+        going = np.flatnonzero(chains.missed(effort.target_ess))
+        if len(going) == 0:
             break
-        stride = _STRIDE * 2 ** (extension + 1)
-        more, more_acceptance = sampler.run(n_draw * stride // 2, missing)
-        # one in two of the old draws (thinned to every stride/2 steps) and one in `stride` of the new ones
-        new = more[:, :, stride - 1 :: stride]
-        longer = np.concatenate([chains.coordinate[missing][:, :, 1::2], new], axis=2)
-        chains.coordinate[missing] = longer
-        chains.acceptance[missing] = 0.5 * (chains.acceptance[missing] + more_acceptance)
-        chains.n_step[missing] = n_draw * stride
-        chains.stress[missing] = posterior.stress(longer)
-        found, time = diagnose_stress(chains.stress[missing])
-        chains.ess_bulk[missing], chains.ess_tail[missing], chains.r_hat[missing] = (
-            found.ess_bulk,
-            found.ess_tail,
-            found.r_hat,
-        )
-        chains.autocorrelation_time[missing] = time * stride
     return chains
+
+
+def _keep(
+    posterior: Posterior,
+    coordinate: FloatArray,
+    acceptance: FloatArray,
+    stride: int,
+    records: NDArray[np.int64],
+    chains: Chains,
+) -> None:
+    """Enter the draws of some records, (n, k, n_walker, N_KEPT), and what they say of themselves."""
+    draws = draws_last(coordinate)
+    stress = posterior.stress(draws)
+    chains.put_draws(records, draws, stress)
+    found = diagnose_walkers(stress.swapaxes(1, 2).reshape(len(records), 6, -1, N_KEPT))
+    chains.ess_bulk[records], chains.ess_tail[records] = found.ess_bulk, found.ess_tail
+    chains.r_hat[records], chains.drift[records] = found.r_hat, found.drift
+    with np.errstate(divide="ignore", invalid="ignore"):
+        chains.autocorrelation_time[records] = stride * draws.shape[1] / found.ess_bulk
+    chains.acceptance[records] = acceptance
+    chains.n_step[records] = stride * N_KEPT
 
 
 @dataclass
@@ -98,48 +102,85 @@ class RecordSampler:
         Seed of the fit.
     streams : RecordStreams
         The records' random streams.
+    n_walker : int
+        Walkers of each record: a multiple of `N_HALF`.
 
     Attributes
     ----------
-    coordinate : ndarray, shape (n_record, N_CHAIN, n)
-        Where the walkers are, in the posterior's coordinates.
+    proposal : StudentProposal
+        That of the independent steps.
+    coordinate : ndarray, shape (n_record, k, n_walker)
+        Where the walkers are, in the posterior's coordinates; those of one ensemble are neighbours.
+    log_density : ndarray, shape (n_record, n_walker)
+        The log-posterior there.
 
     Notes
     -----
-    The walkers of a record form `N_ENSEMBLE` ensembles. Three steps in four are independence proposals from a
-    Student-t at the record's mode, accepted by Metropolis–Hastings; every fourth is differential evolution inside an
-    ensemble (Nelson, Ford and Payne 2014), which needs no knowledge of the posterior. Both leave each record's
-    posterior unchanged, whatever the other records do. The random numbers of a record come from its own stream.
+    The walkers start at weighted candidates, as direct draws do (`Candidates`): at the posterior, up to the error of as
+    many weighted draws. The proposal is then fitted to the candidates, and stays as it is while the walkers move, so
+    that each step leaves the posterior unchanged, whatever the weights were.
+
+    The walkers of a record form `N_ENSEMBLE` ensembles. Of four steps, three are independence proposals from a
+    Student-t, accepted by Metropolis–Hastings; the first is differential evolution inside an ensemble (Nelson, Ford and
+    Payne 2014), which needs no knowledge of the posterior. Both leave each record's posterior unchanged, whatever the
+    other records do. The independence proposals of a step are scrambled Sobol points, one for each walker and
+    scrambled anew in each step, so that each walker's own are independent draws from step to step. They are shared by
+    all records, and turned for each by rotations of its own. The numbers that decide about acceptance come from the
+    record's stream.
 
     References
     ----------
     Foreman-Mackey et al. (2013), PASP 125, 306, doi:10.1086/670067.
     Nelson, Ford and Payne (2014), ApJS 210, 11, doi:10.1088/0067-0049/210/1/11.
+    Tierney (1994), Ann. Statist. 22, 1701–1762, doi:10.1214/aos/1176325750 (independence proposals).
     """
 
     posterior: Posterior
     seed: int
     streams: RecordStreams
-    coordinate: FloatArray = field(init=False)
+    n_walker: int
     proposal: StudentProposal = field(init=False)
-    burn_in_acceptance: FloatArray = field(init=False)
+    coordinate: FloatArray = field(init=False)
+    log_density: FloatArray = field(init=False)
+    rotation: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Find the modes, place the walkers, burn in, and mend poor proposals."""
-        everyone = np.arange(self.posterior.n_record)
+        """Draw candidates, start the walkers from them, and fit the proposal to them."""
+        n_record, k = self.posterior.n_record, self.posterior.n_coordinate
+        everyone = np.arange(n_record)
         self.proposal = laplace_proposal(self.posterior)
-        self.coordinate = self._first_positions(everyone)
-        draws, self.burn_in_acceptance = self.run(N_BURN_IN, everyone)
-        poor = np.flatnonzero(self.burn_in_acceptance < POOR_ACCEPTANCE)
-        if len(poor):
-            draws, _ = self.run(2 * N_BURN_IN, poor)
-            flat = draws.reshape(len(poor), -1, draws.shape[-1])
-            centred = flat - flat.mean(axis=1, keepdims=True)
-            covariance = centred.swapaxes(-1, -2) @ centred / (flat.shape[1] - 1.0)
-            self.proposal = self.proposal.refitted(poor, flat.mean(axis=1), covariance)
-            self.run(N_BURN_IN, poor)
+        self.rotation = rotations(self.streams, everyone, N_HALF, k)
+        self.coordinate = np.empty((n_record, k, self.n_walker))
+        self.log_density = np.empty((n_record, self.n_walker))
+        size = self.n_walker // N_HALF
+        batch = records_together(self.n_walker * N_KEPT // N_CHAIN)
+        for start in range(0, n_record, batch):
+            records = everyone[start : start + batch]
+            found = Candidates(self.posterior.take(records), self.rotation[records], self.seed)
+            found.draw(self.proposal.take(records), size // _PILOT)
+            found.draw(found.fitted(), size)
+            weight, _ = found.weight()
+            by_ensemble = weight.reshape(len(records), N_ENSEMBLE, -1)
+            index = resampled(by_ensemble, self.streams.uniform(records, (N_ENSEMBLE,)), self.n_walker)
+            for record, one, coordinate, density in zip(
+                records, index, found.all_coordinates(), np.concatenate(found.log_density, axis=-1), strict=True
+            ):
+                np.take(coordinate.reshape(k, -1), one, axis=1, out=self.coordinate[record], mode="clip")
+                np.take(density.reshape(-1), one, out=self.log_density[record], mode="clip")
+            self._put(records, found.fitted_with(weight))
 
-    def run(self, n_step: int, records: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    def _put(self, records: NDArray[np.int64], fitted: StudentProposal) -> None:
+        self.proposal.mode[records], self.proposal.factor[records] = fitted.mode, fitted.factor
+
+    def refit(self, records: NDArray[np.int64], draws: FloatArray) -> None:
+        """Fit the proposal of some records to draws of theirs, shape (n, …, k)."""
+        flat = draws.reshape(len(records), -1, draws.shape[-1])
+        weight = np.full(flat.shape[:2], 1.0 / flat.shape[1])
+        self._put(records, self.proposal.take(records).fitted_to(flat, weight))
+
+    def run(
+        self, n_step: int, records: NDArray[np.int64], *, stage: int = 0, thin_by: int = 1
+    ) -> tuple[FloatArray, FloatArray]:
         """Advance the walkers of some records.
 
         Parameters
@@ -148,64 +189,55 @@ class RecordSampler:
             Number of steps.
         records : ndarray of int, shape (n,)
             Which records.
+        stage : int
+            What tells these steps from the records' others: their points are scrambled by it.
+        thin_by : int
+            Steps of which one is kept.
 
         Returns
         -------
-        coordinate : ndarray, shape (n, N_CHAIN, n_step, k)
-            Where the walkers were after each step, in the posterior's coordinates.
+        coordinate : ndarray, shape (n, k, n_walker, n_step // thin_by)
+            Where the walkers were, in the posterior's coordinates.
         acceptance : ndarray, shape (n,)
             Share of accepted proposals.
         """
-        posterior, proposal = self.posterior.take(records), self.proposal.take(records)
-        n, k = len(records), posterior.n_coordinate
+        posterior, k = self.posterior.take(records), self.posterior.n_coordinate
 
         def log_probability(flat: FloatArray) -> FloatArray:
-            return posterior.log_density(flat.reshape(n, -1, k)).ravel()
+            return posterior.log_density(flat.reshape(len(records), -1, k)).ravel()
 
-        move = _WithinRecordMove(posterior, proposal, self.streams, records, n_step)
-        sampler = emcee.EnsembleSampler(n * N_CHAIN, k, log_probability, moves=move, vectorize=True)
+        move = _WithinRecordMove(self, posterior, records, n_step, stage)
+        sampler = emcee.EnsembleSampler(len(records) * self.n_walker, k, log_probability, moves=move, vectorize=True)
         # the move draws from the records' own streams; emcee picks the move with its own state, so that is set too
         sampler.random_state = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(self.seed))).get_state()
-        state = sampler.run_mcmc(self.coordinate[records].reshape(-1, k), n_step, skip_initial_state_check=True)
-        self.coordinate[records] = state.coords.reshape(n, N_CHAIN, k)
-        chain = sampler.get_chain().reshape(n_step, n, N_CHAIN, k)
-        acceptance = sampler.acceptance_fraction.reshape(n, N_CHAIN).mean(axis=1)
-        return np.moveaxis(chain, 0, 2), acceptance
+        start = emcee.State(_flat(self.coordinate[records]), log_prob=self.log_density[records].ravel())
+        sampler.run_mcmc(start, n_step // thin_by, thin_by=thin_by, skip_initial_state_check=True)
+        self.coordinate[records], self.log_density[records] = move.position, move.log_density
+        chain = sampler.get_chain().reshape(n_step // thin_by, len(records), self.n_walker, k)
+        return np.ascontiguousarray(chain.transpose(1, 3, 2, 0)), move.accepted / (n_step * self.n_walker)
 
-    def _first_positions(self, records: NDArray[np.int64]) -> FloatArray:
-        """Resample draws of the proposal to the posterior by systematic resampling."""
-        normal = self.streams.normal(records, (N_CANDIDATE, self.posterior.n_coordinate))
-        chi_square = self.streams.chi_square(records, (N_CANDIDATE,), DEGREES_OF_FREEDOM)
-        candidate = self.proposal.transform(normal, chi_square)
-        log_weight = self.posterior.log_density(candidate) - self.proposal.log_density_of(normal, chi_square)
-        weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-        level = np.cumsum(weight, axis=1) / weight.sum(axis=1, keepdims=True)
-        offset = (self.streams.uniform(records, (1,)) + np.arange(N_CHAIN)) / N_CHAIN
-        index = np.minimum((level[:, None, :] < offset[:, :, None]).sum(axis=2), N_CANDIDATE - 1)
-        # neighbours in the candidates' order are independent draws, so that ensembles may be cut out of them in order
-        return np.take_along_axis(candidate, index[..., None], axis=1)
+
+def _flat(coordinate: FloatArray) -> FloatArray:
+    """Return coordinates (n_record, k, n_walker) as emcee has them, one row a walker."""
+    return coordinate.swapaxes(1, 2).reshape(-1, coordinate.shape[1])
 
 
 class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]  # emcee has no types
-    """Independence proposals and differential evolution, each inside a record, from the records' own streams."""
+    """Independence proposals and differential evolution, each inside a record."""
 
     def __init__(
-        self,
-        posterior: Posterior,
-        proposal: StudentProposal,
-        streams: RecordStreams,
-        records: NDArray[np.int64],
-        n_step: int,
+        self, sampler: RecordSampler, posterior: Posterior, records: NDArray[np.int64], n_step: int, stage: int
     ) -> None:
+        n_record, n_walker, k = len(records), sampler.n_walker, posterior.n_coordinate
         self._posterior = posterior
-        self._proposal = proposal
-        self._coordinates = posterior.n_coordinate
-        shape = (n_step, N_CHAIN)
-        self._normal = streams.normal(records, (*shape, self._coordinates))
-        self._chi_square = streams.chi_square(records, shape, DEGREES_OF_FREEDOM)
-        self._log_uniform = np.log1p(-streams.uniform(records, shape))
-        self._pick = streams.uniform(records, (*shape, 2))
-        self._records = len(records)
+        self._proposal = sampler.proposal.take(records)
+        self.position = sampler.coordinate[records]
+        self.log_density = sampler.log_density[records]
+        self.accepted = np.zeros(n_record)
+        self._log_uniform = np.log1p(-sampler.streams.uniform(records, (n_step, n_walker)))
+        self._key = (sampler.seed, _STAGE + stage)
+        self._shared = np.random.default_rng(np.random.SeedSequence([*self._key, k]))
+        self._rotation = sampler.rotation[records]
         self._step = 0
 
     def propose(
@@ -215,53 +247,52 @@ class _WithinRecordMove(emcee.moves.Move):  # type: ignore[misc]  # emcee has no
     ) -> tuple[emcee.State, NDArray[np.bool_]]:
         """Make one step of all walkers."""
         step, self._step = self._step, self._step + 1
-        if step % _DIFFERENTIAL_EVERY == _DIFFERENTIAL_EVERY - 1:
-            return self._differential(state, step)
-        return self._independent(state, step)
+        moved = self._differential(step) if step % _DIFFERENTIAL_EVERY == 0 else self._independent(step)
+        self.accepted += moved.sum(axis=1)
+        state.coords[...] = _flat(self.position)
+        state.log_prob[...] = self.log_density.ravel()
+        return state, moved.ravel()
 
-    def _independent(self, state: emcee.State, step: int) -> tuple[emcee.State, NDArray[np.bool_]]:
-        old = state.coords.reshape(self._records, N_CHAIN, self._coordinates)
-        normal, chi_square = self._normal[:, step], self._chi_square[:, step]
-        new = self._proposal.transform(normal, chi_square)
-        factor = self._proposal.log_density(old) - self._proposal.log_density_of(normal, chi_square)
-        return self._accept(state, new, factor, self._log_uniform[:, step], slice(None))
+    def _independent(self, step: int) -> NDArray[np.bool_]:
+        n_record, k, n_walker = self.position.shape
+        point, square = student_points(N_HALF, k, n_walker // N_HALF, *self._key, step)
+        new = placed(self._proposal, self._rotation, point)
+        log_density, _ = evaluate_in_blocks(self._posterior, draws_last(new))
+        factor = self._proposal.log_density(draws_last(self.position))
+        factor -= self._proposal.log_density_at(square.reshape(1, -1))
+        return self._accept(new.reshape(n_record, k, n_walker), log_density, factor, self._log_uniform[:, step])
 
-    def _differential(self, state: emcee.State, step: int) -> tuple[emcee.State, NDArray[np.bool_]]:
-        half = N_WALKER // 2
-        walker = np.arange(N_CHAIN).reshape(N_ENSEMBLE, N_WALKER)
-        accepted = np.zeros(self._records * N_CHAIN, dtype=bool)
-        for moving, resting in ((walker[:, :half], walker[:, half:]), (walker[:, half:], walker[:, :half])):
-            position = state.coords.reshape(self._records, N_CHAIN, self._coordinates)
-            index = moving.ravel()
-            pick = self._pick[:, step, index]
-            first = (pick[..., 0] * half).astype(np.int64)
-            second = (first + 1 + (pick[..., 1] * (half - 1)).astype(np.int64)) % half
-            home = resting[index // N_WALKER]  # the resting half of each moving walker's own ensemble
-            rows = np.arange(self._records)[:, None]
-            columns = np.arange(len(index))[None, :]
-            difference = position[rows, home[columns, first]] - position[rows, home[columns, second]]
-            normal = self._normal[:, step, index]
-            scale = (2.38 / np.sqrt(2.0 * self._coordinates)) * (1.0 + 0.05 * normal[..., :1])
-            new = position[:, index] + scale * difference
-            state, moved = self._accept(state, new, np.zeros(new.shape[:2]), self._log_uniform[:, step, index], index)
-            accepted |= moved
-        return state, accepted
+    def _differential(self, step: int) -> NDArray[np.bool_]:
+        n_record, k, n_walker = self.position.shape
+        # (record, k, ensemble, half, walker): views of where the walkers are
+        walkers = self.position.reshape(n_record, k, N_ENSEMBLE, 2, -1)
+        density = self.log_density.reshape(n_record, N_ENSEMBLE, 2, -1)
+        log_uniform = self._log_uniform[:, step].reshape(density.shape)
+        moved = np.zeros(density.shape, dtype=np.bool_)
+        size = walkers.shape[-1]
+        for half in (0, 1):
+            # each walker moves along the difference of two of the resting half, as far from its own place as all are
+            first = int(self._shared.integers(size))
+            second = (first + 1 + int(self._shared.integers(size - 1))) % size
+            scale = 2.38 / np.sqrt(2.0 * k) * (1.0 + 0.05 * self._shared.standard_normal())
+            resting = walkers[:, :, :, 1 - half]
+            new = scale * (np.roll(resting, first, axis=-1) - np.roll(resting, second, axis=-1))
+            new += walkers[:, :, :, half]
+            log_density, _ = evaluate_in_blocks(self._posterior, draws_last(new))
+            log_density = log_density.reshape(n_record, N_ENSEMBLE, size)
+            with np.errstate(invalid="ignore"):  # a walker that never had a density stays where it is
+                accepted = log_uniform[:, :, half] < log_density - density[:, :, half]
+            np.copyto(walkers[:, :, :, half], new, where=accepted[:, None])
+            np.copyto(density[:, :, half], log_density, where=accepted)
+            moved[:, :, half] = accepted
+        return moved.reshape(n_record, n_walker)
 
     def _accept(
-        self,
-        state: emcee.State,
-        new: FloatArray,
-        factor: FloatArray,
-        log_uniform: FloatArray,
-        walkers: slice | NDArray[np.int64],
-    ) -> tuple[emcee.State, NDArray[np.bool_]]:
-        """Accept or reject the new positions of some walkers, shape (n_record, n, k)."""
-        # the density is called as an array function: emcee's own call converts it walker by walker
-        log_probability = self._posterior.log_density(new)
-        current = state.log_prob.reshape(self._records, N_CHAIN)
-        accepted = log_uniform < log_probability - current[:, walkers] + factor
-        mask = np.zeros((self._records, N_CHAIN), dtype=bool)
-        mask[:, walkers] = accepted
-        state.coords.reshape(self._records, N_CHAIN, self._coordinates)[mask] = new[accepted]
-        current[mask] = log_probability[accepted]
-        return state, mask.ravel()
+        self, new: FloatArray, log_density: FloatArray, factor: FloatArray, log_uniform: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Accept or reject new positions (n_record, k, n_walker) of all walkers."""
+        with np.errstate(invalid="ignore"):  # as above
+            accepted = np.asarray(log_uniform < log_density - self.log_density + factor)
+        np.copyto(self.position, new, where=accepted[:, None])
+        np.copyto(self.log_density, log_density, where=accepted)
+        return accepted

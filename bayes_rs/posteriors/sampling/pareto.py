@@ -33,7 +33,7 @@ def pareto_k(log_weight: FloatArray) -> FloatArray:
     """
     n_draw = log_weight.shape[-1]
     n_tail = int(np.ceil(min(0.2 * n_draw, 3.0 * np.sqrt(n_draw))))
-    largest = np.sort(np.partition(log_weight, n_draw - n_tail - 1, axis=-1)[:, n_draw - n_tail - 1 :], axis=-1)
+    largest = np.sort(log_weight, axis=-1)[:, n_draw - n_tail - 1 :]  # quicker than a partition
     scaled = np.exp(largest - largest[:, -1:])
     excess = scaled[:, 1:] - scaled[:, :1]
     equal = excess[:, -1] <= 0.0
