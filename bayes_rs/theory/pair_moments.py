@@ -26,6 +26,7 @@ _FEW = 40  # distinct pairs: no shortcut is worth its checks
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
 _ROADS = ((0.25, 5e-3), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
+_CAUTION = 3.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}
 
 
@@ -39,7 +40,8 @@ class PairMoments(NamedTuple):
     trace : ndarray, shape (n_distinct,)
         E s² of those of a beam with itself, m² s⁻²; else not filled.
     error : float
-        Largest error of an entry of K by shortcuts that was found, relative to the largest entry; 0 without.
+        Three times the largest error of an entry of K by shortcuts that was found, relative to the largest entry: only
+        some entries are checked. 0 without shortcuts.
     about : dict
         What to report of the shortcuts.
     """
@@ -206,7 +208,7 @@ def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
 
     if len(rest) < _MANY or not np.any(pairs.lengths[rest] > 0.0):
         inner[rest] = calculate(np.arange(len(rest)))
-        return PairMoments(inner, trace, most, about)
+        return PairMoments(inner, trace, _CAUTION * most, about)
     found = _interpolated(record, rest, record.by_nodes(rest, nodes, tolerance, points=True), size[rest], calculate,
                           pair_tolerance)  # fmt: skip
     inner[rest] = found.values
@@ -216,7 +218,7 @@ def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
         "pair_error": float(np.hypot(lag_error, found.error)),
         "pair_error_largest": most,
     }
-    return PairMoments(inner, trace, most, about)
+    return PairMoments(inner, trace, _CAUTION * most, about)
 
 
 def _interpolated(
