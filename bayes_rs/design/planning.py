@@ -149,6 +149,20 @@ def _announced(scan: Scan, n_sample: int, seconds: float) -> list[Step]:
     ]
 
 
+def _shortcuts(noise: Noise) -> list[Step]:
+    error = noise.details.get("pair_error")
+    if error is None:
+        return []
+    return [
+        Step(
+            "shortcuts for many beams",
+            f"calculated: {noise.details['pairs_calculated']}",
+            "covariances are smooth in the lag, and those of probe volumes in where two beams are and look",
+            f"{100.0 * error:.1g} % of K, {50.0 * error:.1g} % of a width, as pairs tell that did not serve for it",
+        )
+    ]
+
+
 def _noise_steps(noise: Noise) -> list[Step]:
     pairs, unique = noise.details["n_pairs"], noise.details["n_unique_pairs"]
     skipped = f"; {pairs - unique} repeat another pair's separation and directions" if pairs > unique else ""
@@ -183,6 +197,7 @@ def _noise_steps(noise: Noise) -> list[Step]:
             "pairs with the same separation and the same two directions have the same covariance",
             "equal to the long way, to rounding",
         ),
+        *_shortcuts(noise),
         probe,
     ]
 

@@ -14,7 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.processor import one_thread
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.pair_interpolation import PairSample, interpolate_pairs, pair_features, spread_pairs
-from bayes_rs.theory.pairs import Pairs
+from bayes_rs.theory.pairs import FEW, Pairs
 from bayes_rs.theory.probed import CHUNK, probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
@@ -22,7 +22,6 @@ from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 PAIR_TOLERANCE = 0.005
 """Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.25 %."""
 
-_FEW = 40  # distinct pairs: no shortcut is worth its checks
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
 _ROADS = ((0.25, 5e-3), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
@@ -176,7 +175,7 @@ def pair_moments(
     """
     record = _Record(pairs, scan, turbulence, wind_speed, detrend, tolerance)
     every = np.arange(len(pairs.own))
-    if pair_tolerance == 0.0 or len(every) < _FEW:
+    if pair_tolerance == 0.0 or len(every) < FEW:
         return PairMoments(*record.exact(every), 0.0, dict(_EVERY))
     with one_thread():
         return _shortened(record, pair_tolerance)
