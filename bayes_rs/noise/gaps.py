@@ -81,8 +81,8 @@ def gap_noise(
     and the bias is that of the record without gaps.
 
     C_ab is some rows and columns of a Toeplitz matrix, and `gapped_inner` sums it in N log N; all pairs of beams are
-    done. Of 40 pairs and more, covariances are calculated at lags whose distances grow, and interpolated. That gaps may depend on the velocity (hard targets in gusts)
-    is left out.
+    done. Of 40 pairs and more, covariances are calculated at lags whose distances grow, and interpolated. That gaps may
+    depend on the velocity (hard targets in gusts) is left out.
 
     Examples
     --------

@@ -16,7 +16,8 @@ _DIRECTION, _LENGTH, _SHIFT = 0.2, 0.5, 0.3  # how features of different kinds c
 _CORE, _CORE_OF_L = 0.25, 1e-3  # of the probe and of L: separations below are told apart evenly
 _NUGGET = 1e-7  # of the variance: errors of the values
 _FIRST, _MOST = 200, 3200  # pairs that are calculated at first, and at most
-_N_TEST, _N_NEAR = 96, 32  # pairs to tell the error: by chance, and evenly in separation for the largest
+_N_TEST, _N_NEAR = 64, 24  # pairs to tell the error: by chance, and evenly in separation for the largest
+_MORE = 1.5  # of the pairs, when they do not suffice
 _EVENLY = 0.7  # share of the pairs that are chosen evenly in separation, the others by chance
 _WORTH = 0.5  # of all pairs: when so many are needed, all are calculated
 _SEED = 7
@@ -138,7 +139,7 @@ def interpolate_pairs(
     The logarithm of the values, or of their ratio to those of points, whichever is better, is the mean of a Gaussian
     process with Matérn's covariance of order 5/2 in the features, given the pairs that are calculated: these are chosen
     evenly in separation and by chance, always the same. Others, chosen by chance, tell the error. While that is above
-    the tolerance, twice as many are calculated; all of them when half do not suffice.
+    the tolerance, half as many more are calculated; all of them when half do not suffice.
     """
     n, scaled = len(apart), features / _SCALE
     chance = np.random.default_rng(_SEED).permutation(n)
@@ -168,7 +169,7 @@ def interpolate_pairs(
             missing = np.flatnonzero(np.isnan(known))
             known[missing] = starts[best][missing] * np.exp(fields[best].at(scaled[missing]))
             return PairSample(known, n - len(missing), errors[best], float(np.max(np.abs(off[best]))))
-        count *= 2
+        count = int(_MORE * count)
     know(np.arange(n))
     return PairSample(known, n, 0.0, 0.0)
 
