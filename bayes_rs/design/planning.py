@@ -110,7 +110,7 @@ def plan(
     Examples
     --------
     >>> made = plan("50-beam", wind_speed=10.0)
-    >>> made.steps[4].decision
+    >>> made.steps[5].decision
     '50 variances a record are reduced to 5 numbers'
     """
     chosen, scan, turbulence = make_prior(prior), as_scan(scan), as_turbulence(turbulence)
@@ -197,8 +197,8 @@ def _noise_steps(noise: Noise) -> list[Step]:
             "pairs with the same separation and the same two directions have the same covariance",
             "equal to the long way, to rounding",
         ),
-        *_shortcuts(noise),
         probe,
+        *_shortcuts(noise),
     ]
 
 
