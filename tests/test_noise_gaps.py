@@ -186,3 +186,27 @@ class TestErrors:
     def test_disagreeing_diagonals(self):
         with pytest.raises(InputError, match=r"Invalid diagonals of shape \(4,\)"):
             gapped_inner(np.ones(4), np.ones(3, dtype=bool), np.ones(3, dtype=bool))
+
+
+@pytest.mark.parametrize("name", ["50-beam", "zx-tm"])
+def test_many_beams_without_gaps_are_those_of_theory(name):
+    """Their covariances are calculated at some lags only."""
+    scan = load_scan(name)
+    scan = scan.select(scan.beam[::4])
+    exact = theory_noise(scan, FLOW, wind_speed=9.0, pair_tolerance=0.0)
+    found = gap_noise(scan, FLOW, np.ones((scan.n_beam, 600), dtype=bool), wind_speed=9.0)
+    np.testing.assert_allclose(found.covariance, exact.covariance, rtol=5e-5)
+    np.testing.assert_allclose(found.bias, exact.bias, rtol=1e-6)
+    np.testing.assert_allclose(found.gain, exact.gain, rtol=2e-5, atol=1e-9)
+
+
+def test_many_beams_with_gaps_are_those_of_few():
+    """Pairs of few beams, of which all lags are calculated, have the same covariances."""
+    scan = load_scan("50-beam")
+    there = np.random.default_rng(4).uniform(size=(scan.n_beam, 600)) < 0.7
+    there[:, 100:180] = False
+    many = scan.select(scan.beam[::4])
+    few = scan.select(scan.beam[[0, 12, 28]])
+    whole = gap_noise(many, FLOW, there[::4], wind_speed=9.0).select(few.beam)
+    own = gap_noise(few, FLOW, there[[0, 12, 28]], wind_speed=9.0)
+    np.testing.assert_allclose(whole.covariance, own.covariance, rtol=5e-5)

@@ -22,8 +22,9 @@ from bayes_rs.geometry.probe import (
 )
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import cone_direction, load_scan
-from bayes_rs.noise.by_theory import probe_transfer, probed_covariance, sonic_moments, theory_noise
+from bayes_rs.noise.by_theory import sonic_moments, theory_noise
 from bayes_rs.noise.file import load_noise
+from bayes_rs.theory.probed import probe_transfer, probed_covariance
 from bayes_rs.turbulence.isotropic import isotropic_correlation
 from bayes_rs.turbulence.mann import MannTurbulence, load_turbulence
 from bayes_rs.turbulence.two_point import radial_covariance

@@ -111,7 +111,7 @@ def plan(
     Examples
     --------
     >>> made = plan("50-beam", wind_speed=10.0)
-    >>> made.steps[4].decision
+    >>> made.steps[5].decision
     '50 variances a record are reduced to 5 numbers'
     """
     chosen, scan, turbulence = make_prior(prior), as_scan(scan), as_turbulence(turbulence)
@@ -146,6 +146,20 @@ def _announced(scan: Scan, n_sample: int, seconds: float) -> list[Step]:
             f"by theory, about {in_time(seconds)} of one processor for each state of the wind: not computed here",
             f"{n_pair} pairs of beams with {n_sample} samples each; pairs that repeat others cost nothing",
             "known once it is made; calibrate makes it, and keeps it in the cache",
+        )
+    ]
+
+
+def _shortcuts(noise: Noise) -> list[Step]:
+    error = noise.details.get("pair_error")
+    if error is None:
+        return []
+    return [
+        Step(
+            "shortcuts for many beams",
+            f"calculated: {noise.details['pairs_calculated']}",
+            "covariances are smooth in the lag, and those of probe volumes in where two beams are and look",
+            f"{100.0 * error:.1g} % of K, {50.0 * error:.1g} % of a width, as pairs tell that did not serve for it",
         )
     ]
 
@@ -185,6 +199,7 @@ def _noise_steps(noise: Noise) -> list[Step]:
             "equal to the long way, to rounding",
         ),
         probe,
+        *_shortcuts(noise),
     ]
 
 

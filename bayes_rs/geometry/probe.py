@@ -27,7 +27,7 @@ _N_BEAM, _N_DIFFERENCE, _N_PAIR, _N_PAIR_WIDE, _N_INNER = 16, 24, 14, 16, 4
 _WEDGE = 0.07
 """Largest 2 √(ℓ_a ℓ_b) sin(angle/2) / L at which two values stand for the distribution of the mean (error 0.2 of its
 square)."""
-_RESOLVED = 3.0  # rules are made finer where a probe's length is more than L over this
+_RESOLVED = {"continuous-wave": 2.0, "pulsed": 0.7}  # rules are made finer where ℓ is more than L over this
 _GAUSS_REACH = 4.5  # of r_p: beyond it lies 2e-10 of a Gaussian pulse
 _N_FINE = 2000  # points of the measures from which the rules of a pulsed probe are made
 
@@ -433,11 +433,13 @@ def _in_words(parameters: Mapping[str, Any]) -> str:
     return ", ".join(rest)
 
 
-def fineness_for(lengths: FloatArray, length_scale: float) -> NDArray[np.int64]:
-    """Return the fineness that rules need for covariances of length scale L: the power of two not below 3ℓ/L.
+def fineness_for(probe: Probe, lengths: FloatArray, length_scale: float) -> NDArray[np.int64]:
+    """Return the fineness that rules need for covariances of length scale L: the power of two not below cℓ/L.
 
     Parameters
     ----------
+    probe : Probe
+        Its kind decides c.
     lengths : ndarray, shape (..., 2)
         ℓ of the two beams of each pair, m; the longer one counts.
     length_scale : float
@@ -448,7 +450,7 @@ def fineness_for(lengths: FloatArray, length_scale: float) -> NDArray[np.int64]:
     fineness : ndarray of int, shape (...)
         At least 1.
     """
-    steps = np.maximum(_RESOLVED * np.max(lengths, axis=-1) / length_scale, 1.0)
+    steps = np.maximum(_RESOLVED.get(probe.kind, 1.0) * np.max(lengths, axis=-1) / length_scale, 1.0)
     return np.asarray(2 ** np.ceil(np.log2(steps) - 1e-9).astype(np.int64), dtype=np.int64)
 
 

@@ -12,12 +12,15 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.theory.lag_nodes import lag_nodes
+from bayes_rs.theory.pairs import FEW
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.theory.sampling_times import samples_removed, samples_that_fit
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import gapped_inner, gapped_trace
 
+_GROWTH = 0.15  # of the lags' distances (`lag_nodes`), for many beams: sums are good to 2e-5
 _CHUNK = 500_000  # covariances held at a time: some 100 MiB of working arrays
 
 
@@ -78,8 +81,8 @@ def gap_noise(
     and the bias is that of the record without gaps.
 
     C_ab is some rows and columns of a Toeplitz matrix, and `gapped_inner` sums it in N log N; all pairs of beams are
-    done, about 1 ms each for 600 samples and no probe. That gaps may depend on the velocity (hard targets in gusts)
-    is left out.
+    done. Of 40 pairs and more, covariances are calculated at lags whose distances grow, and interpolated. That gaps may
+    depend on the velocity (hard targets in gusts) is left out.
 
     Examples
     --------
@@ -106,6 +109,9 @@ def gap_noise(
     row, column = np.triu_indices(scan.n_beam)
     apart = place[column] - place[row]
     lag = wind_speed * scan.scan_duration * np.arange(-(n - 1), n)
+    centre = apart[:, 0] / (wind_speed * scan.scan_duration)
+    growth = _GROWTH if len(row) >= FEW else 0.0
+    nodes = lag_nodes(n, n, (float(np.min(centre)), float(np.max(centre))), growth, detrend=detrend)
     inner, trace = np.empty(len(row)), np.full(scan.n_beam, np.nan)
     for part in np.array_split(np.arange(len(row)), int(np.ceil(len(row) * len(lag) / _CHUNK))):
         first, second = row[part], column[part]
@@ -113,12 +119,14 @@ def gap_noise(
             line_of_sight[first],
             line_of_sight[second],
             apart[part, 1:],
-            apart[part, :1] - lag,
+            apart[part, :1] - lag[nodes.lag + n - 1],
             turbulence,
             probe=scan.probe,
             lengths=np.stack([lengths[first], lengths[second]], axis=-1),
             tolerance=tolerance,
         )
+        if len(nodes.lag) < len(lag):
+            covariance = covariance @ nodes.weights
         inner[part] = gapped_inner(covariance, there[first], there[second], detrend=detrend)
         own = first == second
         trace[first[own]] = gapped_trace(covariance[own], there[first[own]], detrend=detrend)

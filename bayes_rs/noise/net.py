@@ -22,7 +22,7 @@ from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.interpolation import find_net, interpolate_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
-BANK_VERSION = 1
+BANK_VERSION = 2
 """Counts the changes of this module that change its numbers."""
 
 TOLERANCE = 0.01

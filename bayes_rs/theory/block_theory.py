@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -227,9 +228,20 @@ def _log_variance(eigenvalue: FloatArray) -> float:
     ordered = ordered[ordered > _LEAST_LEFT * ordered[0]]
     large = ordered[:_MOST_IN_BLOCK]
     rest = ordered[_MOST_IN_BLOCK:]
-    rng = np.random.default_rng(_SEED)
-    total = rng.standard_normal((_N_DRAW, len(large))) ** 2 @ large
+    squares, state = _squares(len(large))
+    total = squares @ large
     if len(rest):
+        rng = np.random.default_rng()
+        rng.bit_generator.state = state
         shape = 0.5 * rest.sum() ** 2 / np.sum(rest**2)
         total += rng.gamma(shape, rest.sum() / shape, _N_DRAW)
     return float(np.log(total).var())
+
+
+@lru_cache(maxsize=_MOST_IN_BLOCK)
+def _squares(count: int) -> tuple[FloatArray, Any]:
+    """Return draws of `count` chi-squared variables, shape (_N_DRAW, count), and where their generator stands."""
+    rng = np.random.default_rng(_SEED)
+    squares = rng.standard_normal((_N_DRAW, count)) ** 2
+    squares.flags.writeable = False
+    return squares, rng.bit_generator.state

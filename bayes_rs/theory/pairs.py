@@ -15,14 +15,20 @@ _SAME = 1e-9  # pairs whose separations (m) and directions agree to this are com
 
 
 _BYTES_A_PAIR, _BYTES_A_LAG, _BYTES_AN_ENTRY = 600.0, 200.0, 40.0
-_SECONDS_A_LAG, _SECONDS_A_PROBED_PAIR = 2e-7, 7e-4
+_SECONDS_A_LAG, _SECONDS_A_PAIR, _SECONDS_A_PROBED_PAIR = 2e-7, 1.2e-5, 3e-4
+FEW = 40
+"""Distinct pairs: for fewer, no shortcut is worth its checks."""
+_MOST_PROBED = 1000.0  # pairs of beams with probe volumes: from these, others are interpolated
 
 
 def seconds_of_pairs(scan: Scan, n_sample: float) -> float:
-    """Estimate the time that the covariances of all pairs of a scan's beams take, s: each pair has 2N − 1 lags."""
+    """Estimate the time that the covariances of all pairs of a scan's beams take, s, with the shortcuts for many."""
     n_pair = scan.n_beam * (scan.n_beam + 1) / 2.0
-    of_probes = _SECONDS_A_PROBED_PAIR if np.any(scan.probe_length > 0.0) else 0.0
-    return float(n_pair * (2.0 * n_sample * _SECONDS_A_LAG + of_probes))
+    of_probes = _SECONDS_A_PROBED_PAIR * min(n_pair, _MOST_PROBED) if np.any(scan.probe_length > 0.0) else 0.0
+    of_one = 2.0 * n_sample * _SECONDS_A_LAG
+    if n_pair < FEW:
+        return float(n_pair * of_one + of_probes)
+    return float(scan.n_beam * of_one + n_pair * min(of_one, _SECONDS_A_PAIR) + of_probes)
 
 
 def check_pairs(scan: Scan, n_sample: float) -> None:

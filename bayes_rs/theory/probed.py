@@ -86,7 +86,7 @@ def probed_covariance(
     one = np.min(lengths, axis=-1) <= 0.0
     parallel = ~one & (np.linalg.norm(second - towards, axis=-1) < _PARALLEL)
     wide = ~one & ~parallel & needs_wide(towards, second, lengths, turbulence.length_scale)
-    fineness = fineness_for(lengths, turbulence.length_scale)
+    fineness = fineness_for(probe, lengths, turbulence.length_scale)
     kinds: list[tuple[NDArray[np.bool_], Rule]] = []
     for fine in np.unique(fineness).tolist():
         position, weight = probe.beam_rule(fineness=2 * fine)
@@ -174,7 +174,7 @@ def probe_transfer(
     >>> probe_transfer(ahead, np.array([6.1]), probe, load_turbulence("fu-2022"))[0].round(2)
     array([[0.83, 0.66, 0.56, 0.74, 0.68, 0.61]])
     """
-    fineness = int(np.max(fineness_for(lengths[:, np.newaxis], turbulence.length_scale)))
+    fineness = int(np.max(fineness_for(probe, lengths[:, np.newaxis], turbulence.length_scale)))
     rule = probe.difference_rule(fineness=fineness)
     ahead = rule.difference > 0.0  # covariances are even
     shift = (lengths[:, np.newaxis] * rule.difference[ahead])[..., np.newaxis] * line_of_sight[:, np.newaxis]

@@ -79,6 +79,41 @@ def toeplitz_inner(
     return np.asarray(total + np.sum((along_rows @ removed) * (other_rows @ removed), axis=(-1, -2)))
 
 
+def toeplitz_gram(diagonals: ArrayLike, n_row: int, n_column: int, *, detrend: str = "mean") -> FloatArray:
+    """Return ⟨P A P, P B P⟩ for every two of some Toeplitz matrices; see `toeplitz_inner`.
+
+    Parameters
+    ----------
+    diagonals : array_like, shape (n, n_row + n_column - 1)
+        The diagonals of the matrices.
+    n_row, n_column : int
+        Rows and columns.
+    detrend : str
+        ``"mean"`` or ``"linear"``.
+
+    Returns
+    -------
+    gram : ndarray, shape (n, n)
+        Symmetric.
+
+    Examples
+    --------
+    >>> toeplitz_gram([[0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0, 0.0]], 3, 3).round(12)
+    array([[2., 4.],
+           [4., 8.]])
+    """
+    a = np.asarray(diagonals, dtype=np.float64)
+    lag = np.arange(-(n_row - 1), n_column)
+    length = np.minimum(np.minimum(n_row, n_column), np.minimum(n_column - lag, n_row + lag)).astype(np.float64)
+    rows = _projections(a, n_row, n_column, detrend)
+    columns = _projections(a[:, ::-1], n_column, n_row, detrend)
+    both = (rows @ _basis(n_column, detrend)).reshape(len(a), -1)
+    total = (a * length) @ a.T + both @ both.T
+    for part in (rows.reshape(len(a), -1), columns.reshape(len(a), -1)):
+        total -= part @ part.T
+    return np.asarray(0.5 * (total + total.T))
+
+
 def toeplitz_trace(diagonals: ArrayLike, n: int, *, detrend: str = "mean") -> FloatArray:
     """Return tr(P A P) for square Toeplitz matrices; see `toeplitz_inner`.
 

@@ -47,6 +47,7 @@ _CHECKED_GAMMA = 6.0  # measured errors at 10 and 15 stay below the promise that
 # Errors of velocity covariances relative to uu, measured at random separations against a step of 0.1, 120 angles and 48
 # harmonics (repeated in tests/test_two_point.py): below the key of this table for gamma up to 6.
 _RESOLUTIONS: dict[float, Resolution] = {
+    5e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.40, 24),
     1e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.25, 40),
     1e-4: Resolution(0.20, 64, 24, (-16.0, 8.0), (-14.0, 9.0), 0.15, 64),
     2e-5: Resolution(0.14, 72, 28, (-17.0, 9.0), (-15.0, 9.5), 0.12, 80),
@@ -134,11 +135,7 @@ def velocity_covariance(
         raise InputError(f"Invalid separation of shape {r.shape}: the last dimension must hold x, y and z.")
     flat = check_array(r.reshape(-1, 3), (None, 3), what="separation") / turbulence.length_scale
     table = covariance_table(turbulence.gamma, flat, tolerance=tolerance)
-    along = np.empty((len(flat), len(STRESSES)))
-    for index in range(len(STRESSES)):
-        weights = np.zeros((len(flat), len(STRESSES)))
-        weights[:, index] = 1.0
-        along[:, index] = table.project(flat[:, 1], flat[:, 2], weights, flat[:, :1])[:, 0]
+    along = table.components(flat[:, 1], flat[:, 2], flat[:, :1])[..., 0].T
     isotropic = isotropic_covariance(flat)
     tensor = unpack_stress(along) + isotropic
     return np.asarray(turbulence.velocity_scale**2 * tensor.reshape(*r.shape[:-1], 3, 3))
@@ -311,25 +308,45 @@ class CovarianceTable:
         covariance : ndarray, shape (n, n_lag)
             In αε^(2/3) L^(2/3).
         """
+        signs, columns, shares = self._place(y, z)
+        component = (self.shape[0] * self.shape[1]) * np.arange(len(STRESSES))
+        column = component[:, np.newaxis] + columns[:, np.newaxis]
+        share = (signs * weights)[:, :, np.newaxis] * shares[:, np.newaxis]
+        return self._along(_rows_times(share, column, self.values), x)
+
+    def components(self, y: FloatArray, z: FloatArray, x: FloatArray) -> FloatArray:
+        """Return the six components at separations (x, y, z); as `project`, shape (6, n, n_lag)."""
+        signs, columns, shares = self._place(y, z)
+        values = self.values.reshape(len(STRESSES), -1, self.shape[2])
+        return np.stack(
+            [
+                self._along(_rows_times(sign[:, np.newaxis] * shares, columns, one), x)
+                for sign, one in zip(signs.T, values, strict=True)
+            ]
+        )
+
+    def _place(self, y: FloatArray, z: FloatArray) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+        """Return each component's sign (n, 6), and rows of one component and their weights, shapes (n, 36)."""
         n_distance, n_direction, _ = self.shape
         near, near_weight = stencil(_stretch(np.hypot(y, z)) / self.table_step + (STENCIL // 2), n_distance)
-        turn = np.abs(np.arctan2(y, z))  # components odd in y change sign with it
-        mirrored = np.where((np.arctan2(y, z) < 0.0)[:, np.newaxis] & _odd_mask(), -weights, weights)
-        facing, facing_weight = stencil(turn / self.direction_step + (STENCIL // 2), n_direction)
-        pair_weight = np.einsum("nc,nd,na->ncda", mirrored, near_weight, facing_weight)
-        component = n_distance * n_direction * np.arange(len(STRESSES))
-        column = (
-            component[np.newaxis, :, np.newaxis, np.newaxis]
-            + (near * n_direction)[:, np.newaxis, :, np.newaxis]
-            + facing[:, np.newaxis, np.newaxis, :]
-        )
-        per_row = pair_weight[0].size if len(y) else 0
-        operator = scipy.sparse.csr_array(
-            (pair_weight.ravel(), column.ravel(), per_row * np.arange(len(y) + 1)), shape=(len(y), len(self.values))
-        )
-        lines = np.ascontiguousarray(operator @ self.values)
-        position = np.sign(x) * _stretch(np.abs(x)) / self.table_step - self.along_start
-        return interpolate_rows(lines, position)
+        turn = np.arctan2(y, z)
+        signs = np.where((turn < 0.0)[:, np.newaxis] & _odd_mask(), -1.0, 1.0)  # those odd in y change theirs with it
+        facing, facing_weight = stencil(np.abs(turn) / self.direction_step + (STENCIL // 2), n_direction)
+        columns = (near * n_direction)[:, :, np.newaxis] + facing[:, np.newaxis]
+        shares = near_weight[:, :, np.newaxis] * facing_weight[:, np.newaxis]
+        return signs, columns.reshape(len(y), -1), shares.reshape(len(y), -1)
+
+    def _along(self, lines: FloatArray, x: FloatArray) -> FloatArray:
+        return interpolate_rows(lines, np.sign(x) * _stretch(np.abs(x)) / self.table_step - self.along_start)
+
+
+def _rows_times(shares: FloatArray, columns: NDArray[np.int64], values: FloatArray) -> FloatArray:
+    """Return Σ shares · values[columns] for each row."""
+    n = len(shares)
+    each = shares[0].size if n else 0
+    start = each * np.arange(n + 1)
+    operator = scipy.sparse.csr_array((shares.ravel(), columns.ravel(), start), shape=(n, len(values)))
+    return np.ascontiguousarray(operator @ values)
 
 
 def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) -> CovarianceTable:
