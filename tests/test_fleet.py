@@ -239,6 +239,10 @@ class TestSelection:
             ({"records": slice("2020", None)}, r"^Invalid time '2020' of records: give an ISO time such as"),
             ({"records": slice("2020-01-01", None, 2)}, r"^Invalid records with step 2: a slice of times has none"),
             ({"records": slice(1.0, None)}, r"^Invalid records slice\(1\.0, None, None\): give a slice of numbers"),
+            (
+                {"records": slice(None, None, 0)},
+                r"^Invalid records slice\(None, None, 0\): the step of a slice must not",
+            ),
             ({"columns": ["mode"]}, r"^Invalid column 'mode' of a summary: it has record, time, stress, mean"),
         ],
     )
