@@ -259,7 +259,10 @@ def _fault_of(found: xr.Variable, entry: Entry, optional_dim: str) -> str:
     kinds, words = _KINDS[entry.kind]
     values = found.values
     whole = entry.kind == "whole" and not entry.flags and _all_whole(values)  # bits are no floats, numbers may be
-    if (values.dtype.kind not in kinds and not whole) or (values.dtype.kind == "O" and not _all_texts(values)):
+    if values.dtype.kind == "O" and "O" in kinds and not _all_texts(values):
+        wrong = next(value for value in values.ravel().tolist() if not isinstance(value, str))
+        return f"holds {wrong!r}, and must hold {words}"
+    if values.dtype.kind not in kinds and not whole:
         return f"holds {_type_words(values.dtype)}, and must hold {words}"
     unit = found.attrs.get("units", "")
     stated = not isinstance(unit, str) or unit.strip() != ""

@@ -126,6 +126,19 @@ class TestTurbines:
         with xr.open_dataset(tmp_path / "t07.nc", engine="h5netcdf") as found:
             assert set(found["turbine"].values.tolist()) == {"T07"}
 
+    @pytest.mark.parametrize("name", ["", "  ", "T\n7", "T\udc80"])
+    def test_the_command_refuses_a_name_that_cannot_be_shown(self, tmp_path, name):
+        words = [str(demo_file("6-beam")), "--scan", "6-beam", "--turbine", name, "-o", str(tmp_path / "t07.nc")]
+        done = CliRunner().invoke(records_command, words)
+        assert str(done.exception).startswith(f"Invalid turbine {name!r}: it must have letters or digits")
+        assert not (tmp_path / "t07.nc").exists()
+
+    @pytest.mark.parametrize("value", [float("nan"), 7])
+    def test_a_name_that_is_missing_is_named(self, turbines, value):
+        bad = turbines[0].assign(turbine=("record", np.array(["T1"] * (N_EACH - 1) + [value], dtype=object)))
+        with pytest.raises(InputError, match=f"turbine holds {value}, and must hold texts"):
+            fit(bad, SCAN, **PLAIN)
+
     def test_the_report_has_a_row_for_each(self, files):
         fleet = fit(open_record_files(files, SCAN), SCAN, **PLAIN)
         page = render(report_data(fleet))
@@ -239,6 +252,10 @@ class TestSelection:
             ({"records": slice("2020", None)}, r"^Invalid time '2020' of records: give an ISO time such as"),
             ({"records": slice("2020-01-01", None, 2)}, r"^Invalid records with step 2: a slice of times has none"),
             ({"records": slice(1.0, None)}, r"^Invalid records slice\(1\.0, None, None\): give a slice of numbers"),
+            (
+                {"records": slice(None, None, 0)},
+                r"^Invalid records slice\(None, None, 0\): the step of a slice must not",
+            ),
             ({"columns": ["mode"]}, r"^Invalid column 'mode' of a summary: it has record, time, stress, mean"),
         ],
     )

@@ -123,7 +123,7 @@ class TestDatasets:
             ({"flag": (("beam", "record"), np.zeros((2, 2), int))}, r"flag has dims ('beam', 'record')"),
             ({"flag": (("record", "beam"), np.zeros((2, 2), int), {"flag_masks": [1]})}, "do not fit each other"),
             ({"name": ("beam", np.array(["b", "a"], dtype=object))}, "name is b, a, and must be a, b"),
-            ({"name": ("beam", np.array([b"a", 3], dtype=object))}, "name holds texts, and must hold texts"),
+            ({"name": ("beam", np.array([b"a", 3], dtype=object))}, "name holds b'a', and must hold texts"),
         ],
     )
     def test_what_does_not(self, changes, words):

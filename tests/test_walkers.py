@@ -2,11 +2,18 @@
 
 import numpy as np
 import pytest
+from scenes import draw_variances, plain_noise, point_scan
 from walker_scene import normal, plant, run, two_hills
 
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.posteriors import diagnostics
-from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, N_ENSEMBLE, R_HAT_LIMIT
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.sampling import sample
+from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, N_ENSEMBLE, PARETO_K_LIMIT, R_HAT_LIMIT
+from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.walkers import N_KEPT, diagnose_walkers
+from bayes_rs.priors.registry import FlatPrior, WeakPrior
 
 
 def walkers(rho, n_series, n_walker, seed):
@@ -138,3 +145,35 @@ class TestPlantedFaults:
         assert not chains.missed(1000).any()
         share = (chains.stress[..., 0] > 0.0).mean(axis=(1, 2))
         assert np.all(np.abs(share - 0.5) < 5.0 * 0.5 / np.sqrt(chains.ess_bulk[:, 0]))
+
+
+def nowhere(coordinate):
+    return np.full(coordinate.shape[:-1], -np.inf)
+
+
+class TestHardPosteriors:
+    @pytest.mark.parametrize("sampler", ["emcee", "direct", "auto"])
+    @pytest.mark.parametrize("target_ess", [1, 100, 1000])
+    def test_a_density_that_is_nowhere_above_zero_has_no_size(self, monkeypatch, sampler, target_ess):
+        """Walkers that never had a density stay where they are, each somewhere else: that is no sample."""
+        plant(monkeypatch)
+        chains = run(nowhere, sampler=sampler, n_record=3, target_ess=target_ess, max_extension=1)
+        assert np.isnan(chains.ess_bulk).all()
+        assert np.isnan(chains.ess_tail).all()
+        assert chains.missed(target_ess).all()
+
+    def test_a_start_that_lacks_the_tails_is_made_from_more_candidates_or_told(self):
+        """Two beams with hardly any noise, and no prior to speak of: a thin, bent sheet with long tails."""
+        scan = point_scan([[-1.0, 0.84, 0.0], [-1.0, -0.84, 0.0]])
+        noise, n = plain_noise(scan, relative_variance=0.002), 16
+        rng = np.random.default_rng(4)
+        variance = np.repeat(draw_variances(WeakPrior().draw(1, 1), scan, noise, rng), n, axis=0)
+        gain = np.broadcast_to(design_matrix(scan), (n, 2, 6))
+        covariance = np.broadcast_to(noise.covariance[0], (n, 2, 2))
+        posterior = Posterior(log_normal_likelihood(variance, np.ones((n, 2), bool), gain, covariance), FlatPrior())
+        long, _ = sample("direct", posterior.take(np.arange(2)), keys=np.arange(2), effort=Effort(7, 60_000, 3))
+        chains, _ = sample("emcee", posterior, keys=np.arange(n), effort=Effort(1, 1000, 4))
+        end = np.quantile(long.stress[..., 0], 0.95)
+        assert (chains.stress[..., 0] > end).mean() > 0.25 * 0.05  # of a start from 768 candidates it was 0.05 of that
+        assert (chains.pareto_k > PARETO_K_LIMIT).any()
+        assert chains.missed(1000)[chains.pareto_k > PARETO_K_LIMIT].all()

@@ -41,8 +41,10 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
 def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str | None, **options: Any) -> None:
     """Make records, one variance per beam and averaging period, from files of radial velocities."""
     from bayes_rs.output import output_file, write_netcdf
-    from bayes_rs.records.layout import with_turbine
+    from bayes_rs.records.layout import check_turbine, with_turbine
 
+    if turbine is not None:
+        check_turbine(turbine)
     settings = settings_of(files, options)
     with output_file(output, overwrite=overwrite) as part:
         made, _ = records_and_scan(settings)

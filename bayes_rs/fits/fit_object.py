@@ -157,7 +157,7 @@ class Fit(FitData):
         read = list(dict.fromkeys(("record", *columns)))
         pieces = [
             piece[np.isin(piece["record"].to_numpy(), chosen)]
-            for piece in self.source.pieces(dataset, read, chosen if len(chosen) else None)
+            for piece in self.source.pieces(dataset, read, chosen if len(chosen) else np.zeros(1, dtype=np.int64))
         ]
         return pd.concat(pieces, ignore_index=True)[list(columns)]
 

@@ -58,6 +58,8 @@ def selected_records(
             return _between(*ends, records.step, time())
         if not all(end is None or isinstance(end, (int, np.integer)) for end in (*ends, records.step)):
             raise InputError(f"Invalid records {records!r}: give a slice of numbers, or of ISO times as texts.")
+        if records.step == 0:
+            raise InputError(f"Invalid records {records!r}: the step of a slice must not be 0.")
         return np.unique(np.arange(n_record)[records])
     values = np.atleast_1d(np.asarray(records))
     if values.dtype.kind == "b":

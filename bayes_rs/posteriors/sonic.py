@@ -269,7 +269,7 @@ def draw_sonic(
         r_hat=chains.r_hat.copy(),
         autocorrelation_time=chains.autocorrelation_time.copy(),
     )
-    walked = np.flatnonzero(np.isnan(chains.pareto_k))
+    walked = np.flatnonzero(chains.sampler != "direct")
     if len(walked):
         found, _ = diagnose_stress(sonic[walked])
         drawn_chains.ess_bulk[walked], drawn_chains.ess_tail[walked] = found.ess_bulk, found.ess_tail

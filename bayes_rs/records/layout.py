@@ -278,5 +278,20 @@ def check_layout(
 
 
 def with_turbine(records: xr.Dataset, name: str) -> xr.Dataset:
-    """Return records of which each says the name of its turbine."""
+    """Return records of which each says the name of its turbine, which `check_turbine` has let pass."""
     return records.assign({TURBINE: ("record", np.full(records.sizes["record"], name, dtype=object))})
+
+
+def check_turbine(name: str) -> str:
+    """Return the name of a turbine.
+
+    Raises
+    ------
+    InputError
+        If it is blank, or holds what cannot be printed: it goes into files, tables and messages.
+    """
+    if not name.strip() or not name.isprintable():
+        raise InputError(
+            f"Invalid turbine {name!r}: it must have letters or digits, and nothing that cannot be printed."
+        )
+    return name

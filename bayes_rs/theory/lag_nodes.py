@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.turbulence.interpolation import lagrange_weights
 from bayes_rs.turbulence.toeplitz import toeplitz_gram, toeplitz_trace
 
 _POINTS = 6  # lags that a covariance between them is interpolated from
@@ -74,7 +75,7 @@ def lag_nodes(n_row: int, n_column: int, centres: tuple[float, float], growth: f
         lag = np.unique(np.clip(np.concatenate([lag, near[1] + _growing(last - near[1], growth)]), first, last))
     if len(lag) > _WORTH * len(every):
         lag = every
-    weights = np.eye(len(every)) if lag is every else _interpolation(lag, every)
+    weights = np.eye(len(every)) if lag is every else np.ascontiguousarray(lagrange_weights(lag, every, _POINTS).T)
     norm = toeplitz_gram(weights, n_row, n_column, detrend=detrend)
     trace = toeplitz_trace(weights, n_row, detrend=detrend) if n_row == n_column else np.full(len(lag), np.nan)
     return LagNodes(lag.astype(np.int64), weights, norm, trace)
@@ -87,18 +88,3 @@ def _growing(reach: int, growth: float) -> NDArray[np.int64]:
     count = int(np.ceil(np.arcsinh(growth * reach) / growth))
     even = np.linspace(0.0, np.arcsinh(growth * reach), count + 1)[1:]
     return np.unique(np.round(np.sinh(even) / growth).astype(np.int64))
-
-
-def _interpolation(lag: NDArray[np.int64], every: NDArray[np.int64]) -> FloatArray:
-    """Return the weights of Lagrange's polynomials through the six nearest lags, shape (n_node, n_lag)."""
-    count = min(_POINTS, len(lag))
-    first = np.clip(np.searchsorted(lag, every, side="right") - count // 2, 0, len(lag) - count)
-    weights = np.zeros((len(lag), len(every)))
-    column = np.arange(len(every))
-    for j in range(count):
-        product = np.ones(len(every))
-        for k in range(count):
-            if k != j:
-                product *= (every - lag[first + k]) / (lag[first + j] - lag[first + k])
-        weights[first + j, column] = product
-    return weights

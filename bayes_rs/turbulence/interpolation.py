@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,7 +59,7 @@ class StateNet:
         """
         where = np.atleast_2d(np.asarray(points, dtype=np.float64))
         inside = np.column_stack([np.clip(where[:, i], axis[0], axis[-1]) for i, axis in enumerate(self.axes)])
-        along = [_lagrange(axis, inside[:, i]) for i, axis in enumerate(self.axes)]
+        along = [lagrange_weights(axis, inside[:, i]) for i, axis in enumerate(self.axes)]
         on_net = reduce(lambda a, b: np.einsum("ni,nj->nij", a, b).reshape(len(where), -1), along)
         weights = np.empty_like(on_net)
         weights[:, self.number.ravel()] = on_net
@@ -224,9 +225,9 @@ def nearest_semidefinite(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return nearest, negative_part
 
 
-def _lagrange(axis: FloatArray, at: FloatArray) -> FloatArray:
-    """Return the weights of the coordinates of an axis, shape (n, len(axis))."""
-    count = min(_POINTS, len(axis))
+def lagrange_weights(axis: NDArray[Any], at: NDArray[Any], n_point: int = _POINTS) -> FloatArray:
+    """Return the weights of an axis's ascending coordinates at others, shape (n, len(axis)): of the nearest few."""
+    count = min(n_point, len(axis))
     first = np.clip(np.searchsorted(axis, at, side="right") - count // 2, 0, len(axis) - count)
     weights = np.zeros((len(at), len(axis)))
     rows = np.arange(len(at))

@@ -46,7 +46,7 @@ class Chains:
     n_step : ndarray of int, shape (n_record,)
         Sampler steps that draws were kept from: of each walker of emcee, or draws proposed for each chain.
     pareto_k : ndarray, shape (n_record,)
-        Tail shape of the importance weights; NaN for a sampler without weights.
+        Tail shape of the importance weights, of the draws or of the start; NaN for a sampler without weights.
     drift : ndarray, shape (n_record,)
         Change from a walker's early to its late steps, in standard errors; NaN for a sampler that does not tell.
     sampler : ndarray of str, shape (n_record,)

@@ -12,8 +12,17 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import StudentProposal, laplace_proposal
 from bayes_rs.posteriors.sampling.candidates import Candidates, evaluate_in_blocks, resampled
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws, records_together
+from bayes_rs.posteriors.sampling.chains import (
+    N_CHAIN,
+    N_ENSEMBLE,
+    PARETO_K_LIMIT,
+    Chains,
+    empty_chains,
+    kept_draws,
+    records_together,
+)
 from bayes_rs.posteriors.sampling.effort import Effort
+from bayes_rs.posteriors.sampling.pareto import pareto_k
 from bayes_rs.posteriors.sampling.points import draws_last, placed, rotations, student_points
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 from bayes_rs.posteriors.sampling.walkers import N_KEPT, diagnose_walkers
@@ -25,6 +34,8 @@ _DIFFERENTIAL_EVERY = 4
 _PILOT = 2
 """One candidate of the proposal at the mode for so many of the one that is fitted to them, of which there is one for
 each walker."""
+_WORTH = 0.5
+"""Least effective size of the weighted candidates, in walkers that start from them."""
 _STAGE = 1000
 """Tells the points of the chain's steps from those of the candidates that it starts from."""
 
@@ -51,7 +62,9 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
     n_draw = kept_draws(effort.target_ess)
     everyone = np.arange(posterior.n_record)
     chains = empty_chains(posterior.n_record, n_draw, posterior.n_coordinate, "emcee")
-    sampler = RecordSampler(posterior, effort.seed, streams, n_walker=n_draw * N_CHAIN // N_KEPT)
+    sampler = RecordSampler(
+        posterior, effort.seed, streams, n_walker=n_draw * N_CHAIN // N_KEPT, max_extension=effort.max_extension
+    )
     going, batch = everyone, records_together(n_draw)
     for extension in range(effort.max_extension + 1):
         stride = 2**extension
@@ -63,6 +76,9 @@ def sample_emcee(posterior: Posterior, *, streams: RecordStreams, effort: Effort
                 sampler.run(N_KEPT * stride // 2, records, stage=-extension)
             coordinate, acceptance = sampler.run(N_KEPT * stride, records, stage=extension, thin_by=stride)
             _keep(posterior.take(records), coordinate, acceptance, stride, records, chains)
+            nowhere = records[np.isneginf(sampler.log_density[records]).any(axis=1)]
+            chains.ess_bulk[nowhere] = chains.ess_tail[nowhere] = np.nan  # no draws of a posterior
+        chains.pareto_k[:] = sampler.pareto_k
         going = np.flatnonzero(chains.missed(effort.target_ess))
         if len(going) == 0:
             break
@@ -104,6 +120,8 @@ class RecordSampler:
         The records' random streams.
     n_walker : int
         Walkers of each record: a multiple of `N_HALF`.
+    max_extension : int
+        How often the candidates of a record may be doubled, where the weights of those that there are do not do.
 
     Attributes
     ----------
@@ -113,12 +131,16 @@ class RecordSampler:
         Where the walkers are, in the posterior's coordinates; those of one ensemble are neighbours.
     log_density : ndarray, shape (n_record, n_walker)
         The log-posterior there.
+    pareto_k : ndarray, shape (n_record,)
+        Tail of the weights of the candidates that the walkers started from.
 
     Notes
     -----
     The walkers start at weighted candidates, as direct draws do (`Candidates`): at the posterior, up to the error of as
-    many weighted draws. The proposal is then fitted to the candidates, and stays as it is while the walkers move, so
-    that each step leaves the posterior unchanged, whatever the weights were.
+    many weighted draws. Where these are worth less than half as many draws as there are walkers, or the tail of the
+    weights is too heavy, candidates are doubled: few steps from a start that lacks the tails do not find them. The
+    proposal is then fitted to the candidates, and stays as it is while the walkers move, so that each step leaves the
+    posterior unchanged, whatever the weights were.
 
     The walkers of a record form `N_ENSEMBLE` ensembles. Of four steps, three are independence proposals from a
     Student-t, accepted by Metropolis–Hastings; the first is differential evolution inside an ensemble (Nelson, Ford and
@@ -139,9 +161,11 @@ class RecordSampler:
     seed: int
     streams: RecordStreams
     n_walker: int
+    max_extension: int = 0
     proposal: StudentProposal = field(init=False)
     coordinate: FloatArray = field(init=False)
     log_density: FloatArray = field(init=False)
+    pareto_k: FloatArray = field(init=False)
     rotation: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -152,6 +176,7 @@ class RecordSampler:
         self.rotation = rotations(self.streams, everyone, N_HALF, k)
         self.coordinate = np.empty((n_record, k, self.n_walker))
         self.log_density = np.empty((n_record, self.n_walker))
+        self.pareto_k = np.empty(n_record)
         size = self.n_walker // N_HALF
         batch = records_together(self.n_walker * N_KEPT // N_CHAIN)
         for start in range(0, n_record, batch):
@@ -159,15 +184,38 @@ class RecordSampler:
             found = Candidates(self.posterior.take(records), self.rotation[records], self.seed)
             found.draw(self.proposal.take(records), size // _PILOT)
             found.draw(found.fitted(), size)
-            weight, _ = found.weight()
-            by_ensemble = weight.reshape(len(records), N_ENSEMBLE, -1)
-            index = resampled(by_ensemble, self.streams.uniform(records, (N_ENSEMBLE,)), self.n_walker)
-            for record, one, coordinate, density in zip(
-                records, index, found.all_coordinates(), np.concatenate(found.log_density, axis=-1), strict=True
-            ):
-                np.take(coordinate.reshape(k, -1), one, axis=1, out=self.coordinate[record], mode="clip")
-                np.take(density.reshape(-1), one, out=self.log_density[record], mode="clip")
-            self._put(records, found.fitted_with(weight))
+            self._start(found, records, 1)
+
+    def _start(self, found: Candidates, records: NDArray[np.int64], extension: int) -> None:
+        """Start the walkers of some records from their candidates; first double those that do not do, and again."""
+        weight, log_weight = found.weight()
+        flat = weight.reshape(len(records), -1)
+        self.pareto_k[records] = pareto_k(log_weight.reshape(flat.shape))
+        too_few = np.sum(flat * flat, axis=1) > 1.0 / (_WORTH * self.n_walker)
+        short = too_few | (self.pareto_k[records] > PARETO_K_LIMIT)
+        if extension > self.max_extension or not short.any():
+            self._enter(found, weight, records)
+            return
+        enough = np.flatnonzero(~short)
+        if len(enough):
+            self._enter(found.take(enough), weight[enough], records[enough])
+        some = np.flatnonzero(short)
+        for rows in np.array_split(some, -(-len(some) * 2**extension // len(records))):
+            if len(rows):
+                part = found.take(rows)
+                part.draw(part.fitted_with(weight[rows]), part.total_size)
+                self._start(part, records[rows], extension + 1)
+
+    def _enter(self, found: Candidates, weight: FloatArray, records: NDArray[np.int64]) -> None:
+        """Resample the walkers of some records from their candidates, and fit the proposal to these."""
+        by_ensemble = weight.reshape(len(records), N_ENSEMBLE, -1)
+        density = np.concatenate(found.log_density, axis=-1).reshape(len(records), -1)
+        coordinates = found.all_coordinates().reshape(len(records), self.coordinate.shape[1], -1)
+        index = resampled(by_ensemble, self.streams.uniform(records, (N_ENSEMBLE,)), self.n_walker)
+        for record, one, coordinate, of_one in zip(records, index, coordinates, density, strict=True):
+            np.take(coordinate, one, axis=1, out=self.coordinate[record], mode="clip")
+            np.take(of_one, one, out=self.log_density[record], mode="clip")
+        self._put(records, found.fitted_with(weight))
 
     def _put(self, records: NDArray[np.int64], fitted: StudentProposal) -> None:
         self.proposal.mode[records], self.proposal.factor[records] = fitted.mode, fitted.factor
