@@ -262,7 +262,12 @@ def _refined(
         axes = [_nodes(axis, span, halved) for axis, span, halved in zip(kinds, ranges, halvings, strict=True)]
         middles = _middles(axes)
         errors = _errors(theory, axes, _points(middles))
-        if np.max(errors) <= tolerance:
+        count = [len(axis) for axis in axes]
+        sizes = [np.prod([2 * n - 1 if i == index else n for i, n in enumerate(count)]) for index in range(len(count))]
+        if (
+            np.max(errors) <= tolerance
+            or min(size for size, n in zip(sizes, count, strict=True) if n > 1) > _MOST_STATES
+        ):
             return axes, errors
         cell = np.unravel_index(int(np.argmax(errors)), [len(middle) for middle in middles])
         edges = [axis[at : at + 2] for axis, at in zip(axes, cell, strict=True)]
@@ -271,8 +276,7 @@ def _refined(
             between = [*edges[:index], middles[index][cell[index]][np.newaxis], *edges[index + 1 :]]
             trials.append(float(np.max(_errors(theory, axes, _points(between)))) if len(axis) > 1 else -1.0)
         worst = int(np.argmax(trials))
-        size = np.prod([2 * len(axis) - 1 if index == worst else len(axis) for index, axis in enumerate(axes)])
-        if size > _MOST_STATES:
+        if sizes[worst] > _MOST_STATES:
             return axes, errors
         halvings[worst] += 1
 
