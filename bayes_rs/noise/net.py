@@ -18,11 +18,12 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.at_states import noise_key, theory_at_states
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import cache_folder, from_cache, renamed, to_cache, with_details
+from bayes_rs.noise.turned import Turn, find_turn
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.interpolation import find_net, interpolate_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
-BANK_VERSION = 2
+BANK_VERSION = 3
 """Counts the changes of this module that change its numbers."""
 
 TOLERANCE = 0.01
@@ -107,8 +108,12 @@ def refined_noise(
     -----
     The nodes are 10 · 2ⁱ m/s, multiples of 20°, 10 · 2ⁱ m and multiples of 1.5 in Γ. They do not move with the records,
     so that the cache serves other days. While the error is above the tolerance, the axis with the largest error of its
-    own, measured between its nodes at the nodes of the others, gets twice as many intervals. A range without extent is
-    one node, where it is.
+    own at the worst cell, measured between its nodes on the edges of that cell, gets twice as many intervals. A range
+    without extent is one node, where it is.
+
+    Where a turn of the wind by one part of the circle only permutes the beams (the upward cone of a profiler), the
+    directions' nodes are multiples or parts of that turn (21.6° for 50 beams), and states that differ by such turns
+    are calculated once, and permuted. The error is then measured with all beams.
 
     Examples
     --------
@@ -130,14 +135,20 @@ def refined_noise(
         turbulence = replace(turbulence, length_scale=scale, gamma=float(ranges[3][0]))
     count = max(min(int(error_beams), scan.n_beam), 1)
     some = scan.select(scan.beam[np.unique(np.linspace(0, scan.n_beam - 1, count).round().astype(int))])
-    key = _key(scan, turbulence, ranges, duration, tolerance, count, sonic)
+    turn = find_turn(scan)
+    some, count = (some, count) if turn is None else (scan, scan.n_beam)
+    axis_kinds = _axis_kinds(turn)
+    key = _key(scan, turbulence, ranges, axis_kinds, duration, tolerance, count, sonic)
     file = cache_folder(cache) / f"{key}.nc" if cache is not False else None
     if file is not None:
         found, _ = from_cache(file, key)
         if found is not None:
             return renamed(found, scan, turbulence)
-    axes, errors = _refined(_Theory(some, turbulence, duration, progress, sonic=sonic), ranges, tolerance)
-    states = _Theory(scan, turbulence, duration, progress, sonic=sonic).states(_points(axes))
+    theory = _Theory(some, turbulence, duration, progress, sonic=sonic, turn=turn)
+    axes, errors = _refined(theory, axis_kinds, ranges, tolerance)
+    if count < scan.n_beam:
+        theory = _Theory(scan, turbulence, duration, progress, sonic=sonic)
+    states = theory.states(_points(axes))
     noise = with_details(
         Noise.join(states),
         interpolation_error=float(np.max(errors)),
@@ -190,14 +201,33 @@ class _Theory:
     """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
 
     def __init__(
-        self, scan: Scan, turbulence: MannTurbulence, duration: float, progress: bool | None, *, sonic: bool = False
+        self,
+        scan: Scan,
+        turbulence: MannTurbulence,
+        duration: float,
+        progress: bool | None,
+        *,
+        sonic: bool = False,
+        turn: Turn | None = None,
     ) -> None:
         self.scan, self.turbulence, self.duration, self.progress = scan, turbulence, duration, progress
-        self.sonic = sonic
+        self.sonic, self.turn = sonic, turn
         self.known: dict[tuple[float, ...], Noise] = {}
+        self.turned: dict[tuple[float, ...], Noise] = {}
 
     def states(self, points: FloatArray) -> list[Noise]:
         """Return the noise at points, shape (n, 4)."""
+        if self.turn is None:
+            return self._direct(points)
+        names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
+        missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.turned}
+        split = [self.turn.split(float(point[1])) for point in missing.values()]
+        from_zero = [[point[0], rest, *point[2:]] for point, (rest, _) in zip(missing.values(), split, strict=True)]
+        for name, (_, steps), noise in zip(missing, split, self._direct(np.array(from_zero)), strict=True):
+            self.turned[name] = self.turn.apply(noise, steps, name[1])
+        return [self.turned[name] for name in names]
+
+    def _direct(self, points: FloatArray) -> list[Noise]:
         names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
         missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.known}
         for flow in sorted({name[2:] for name in missing}):
@@ -223,21 +253,30 @@ class _Theory:
         return replace(self.turbulence, length_scale=round(length_scale, 6), gamma=gamma)
 
 
-def _refined(theory: _Theory, ranges: list[FloatArray], tolerance: float) -> tuple[list[FloatArray], FloatArray]:
+def _refined(
+    theory: _Theory, kinds: tuple[_Axis, ...], ranges: list[FloatArray], tolerance: float
+) -> tuple[list[FloatArray], FloatArray]:
     """Return the axes of the coarsest net that keeps the tolerance, and its error in the middle of each cell."""
-    halvings = [0] * len(_AXES)
+    halvings = [0] * len(kinds)
     while True:
-        axes = [_nodes(axis, span, halved) for axis, span, halved in zip(_AXES, ranges, halvings, strict=True)]
-        errors = _errors(theory, axes, _points(_middles(axes)))
-        if np.max(errors) <= tolerance:
+        axes = [_nodes(axis, span, halved) for axis, span, halved in zip(kinds, ranges, halvings, strict=True)]
+        middles = _middles(axes)
+        errors = _errors(theory, axes, _points(middles))
+        count = [len(axis) for axis in axes]
+        sizes = [np.prod([2 * n - 1 if i == index else n for i, n in enumerate(count)]) for index in range(len(count))]
+        if (
+            np.max(errors) <= tolerance
+            or min(size for size, n in zip(sizes, count, strict=True) if n > 1) > _MOST_STATES
+        ):
             return axes, errors
+        cell = np.unravel_index(int(np.argmax(errors)), [len(middle) for middle in middles])
+        edges = [axis[at : at + 2] for axis, at in zip(axes, cell, strict=True)]
         trials = []
         for index, axis in enumerate(axes):
-            between = [*axes[:index], _middles([axis])[0], *axes[index + 1 :]]
+            between = [*edges[:index], middles[index][cell[index]][np.newaxis], *edges[index + 1 :]]
             trials.append(float(np.max(_errors(theory, axes, _points(between)))) if len(axis) > 1 else -1.0)
         worst = int(np.argmax(trials))
-        size = np.prod([2 * len(axis) - 1 if index == worst else len(axis) for index, axis in enumerate(axes)])
-        if size > _MOST_STATES:
+        if sizes[worst] > _MOST_STATES:
             return axes, errors
         halvings[worst] += 1
 
@@ -254,6 +293,15 @@ def _errors(theory: _Theory, axes: list[FloatArray], points: FloatArray) -> Floa
 
 def _distance(have: FloatArray, want: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(have - want, axis=(-2, -1)) / np.linalg.norm(want, axis=(-2, -1)))
+
+
+def _axis_kinds(turn: Turn | None) -> tuple[_Axis, ...]:
+    """Return the axes of the nets of a scan: where a turn permutes its beams, directions are parts of it."""
+    if turn is None:
+        return _AXES
+    each = _AXES[1].step / turn.step_deg
+    step = turn.step_deg * round(each) if each >= 1.0 else turn.step_deg / np.ceil(1.0 / each)
+    return (_AXES[0], _Axis(0.0, float(step)), *_AXES[2:])
 
 
 def _nodes(axis: _Axis, span: FloatArray, halvings: int) -> FloatArray:
@@ -289,6 +337,7 @@ def _key(
     scan: Scan,
     turbulence: MannTurbulence,
     ranges: list[FloatArray],
+    kinds: tuple[_Axis, ...],
     duration: float,
     tolerance: float,
     error_beams: int,
@@ -298,12 +347,12 @@ def _key(
     state = RecordState(scan, 10.0, 0.0, duration)
     spans = [
         [float(round(span[0], 9))] if span[1] - span[0] <= _NO_EXTENT else list(_ends(axis, span))
-        for axis, span in zip(_AXES, ranges, strict=True)
+        for axis, span in zip(kinds, ranges, strict=True)
     ]
     everything = {
         "bank_version": BANK_VERSION,
         "theory": noise_key([state], turbulence, sonic=sonic),
-        "axes": _AXES,
+        "axes": kinds,
         "spans": spans,
         "tolerance": tolerance,
         "error_beams": error_beams,
