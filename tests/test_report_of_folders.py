@@ -99,11 +99,12 @@ class TestSameSections:
         assert runs[0]["words"] == runs[1]["words"]
         assert any(line.startswith("the beams hardly see ") for line in runs[0]["words"])
 
-    def test_directions_are_those_of_the_result(self, place):
-        expected = open_fit(place / "at-once").directions()
+    def test_directions_are_the_medians_of_those_of_the_result(self, place):
+        of_records = open_fit(place / "at-once").directions()
         found = report_data(open_fit(place / "none")).directions
-        pd.testing.assert_frame_equal(found, expected, check_exact=True)
-        assert expected["contraction"].notna().any()
+        expected = of_records.groupby("direction")[list(found.columns)].median()
+        pd.testing.assert_frame_equal(found, expected.reset_index(drop=True), check_exact=True)
+        assert found["contraction"].notna().all()
 
 
 class TestSameBytes:
