@@ -154,7 +154,7 @@ class TestGrid:
         for stress in STRESSES:
             for centre in (False, True):
                 values = widths(beams, stress=stress, centre=centre)
-                assert abs(values[-2] / values[-1] - 1.0) < 0.02
+                assert abs(values[-2] / values[-1] - 1.0) < 0.025  # 0.02 and the scatter of eight records
 
     def test_all_widths_are_of_intervals(self, grid):
         assert (grid["width_50"] < 0.6 * grid["width_90"]).all()
