@@ -50,7 +50,7 @@ def main() -> None:
         return
     about = (
         "Compare the numbers with each other, not with yours. Seconds are of CPU, of all processes of a job, unless "
-        f"the clock is named; medians of {options.runs} runs. [What the tables are about](README.md).\n"
+        "the clock is named; medians of the runs that are named. [What the tables are about](README.md).\n"
     )
     made = f"Made by `python benchmarks/page.py --runs {options.runs}`. {machine()}"
     text = ["# Benchmarks, as measured\n", made, about]
