@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from campaign_error import SCALING, error_against_time
 from campaign_error import scaling as campaign_scaling
-from editions import compare
+from editions import FIRST, compare
 from measuring import load, medians, peak_memory, run, spent, table
 from reading_error import reading
 from year import make_year, shipped_noise
@@ -158,7 +158,7 @@ PARTS: dict[str, tuple[str, str, Callable[[int], str]]] = {
     "editions": (
         "Beside 0.1.0, in the same run",
         "Each job by both editions in turn, with the same data and packages, after a small job of its kind.",
-        lambda runs: compare("b71a2f7", runs),
+        lambda runs: compare(FIRST, runs),
     ),
     "start": ("Start-up", "Each in a process of its own.", start_up),
     "noise": (
