@@ -19,6 +19,7 @@ from bayes_rs.fits.groups import GROUPS
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.priors.campaign import CampaignPrior
 from bayes_rs.records.ranges import stack_ranges
 
@@ -460,5 +461,5 @@ def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
 
 
 def _interval(row: Mapping[Any, Any]) -> str:
-    mark = "*" if row["decided"] < 0.5 else ""
+    mark = "*" if is_priors(row["decided"]) else ""
     return f"{row['estimate']:.3g}{mark} ({row['low']:.3g} to {row['high']:.3g})"

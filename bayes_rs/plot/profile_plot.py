@@ -14,9 +14,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.plot.style import POSTERIOR_COLOUR
-
-_MOSTLY = 0.5
-"""Share that the data decided below which a number is more the prior's."""
+from bayes_rs.posteriors.decided import is_priors
 
 
 def profile(fit: Fit, record: int | str | None = None) -> Figure:
@@ -73,7 +71,7 @@ def _draw(axis: Axes, rows: pd.DataFrame, *, upright: bool) -> None:
     one, other = (middle, place) if upright else (place, middle)
     error: dict[str, Any] = {"xerr": ends} if upright else {"yerr": ends}
     axis.errorbar(one, other, **error, fmt="-", color=POSTERIOR_COLOUR, linewidth=0.8, elinewidth=1.4, capsize=2)
-    of_data = share >= _MOSTLY
+    of_data = ~is_priors(share)
     axis.plot(one[of_data], other[of_data], "o", color=POSTERIOR_COLOUR, markersize=5)
     axis.plot(one[~of_data], other[~of_data], "o", color=POSTERIOR_COLOUR, markerfacecolor="white", markersize=5)
     if rows["quantity"].iloc[0] in ("uv", "uw", "vw"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.stress import STRESSES
@@ -17,6 +18,8 @@ _ROWS, _COLUMNS = (0, 0, 1), (1, 2, 2)
 """The two variances that each of uv, uw, vw stands between."""
 _LOGARITHM, _ADDED = np.array([(0, 0, 0), (0, 1, 2)]), np.array([False, True, True])
 """ln uu, ln vv and ln ww are the first of x, to which for the last two another is added."""
+PRIOR_BELOW = 0.5
+"""Share below which the prior decided more of a number than the data did."""
 _BATCH = 32
 """Records whose draws are looked at together."""
 
@@ -81,6 +84,22 @@ class PriorRoom:
 def leading_variance(level: FloatArray) -> int:
     """Return which of uu, vv, ww (0, 1, 2) beams see best: the size that they tell; from their matrix (n_beam, 6)."""
     return int(np.argmax((level[:, :3] ** 2).sum(axis=0)))
+
+
+def is_priors(decided: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which numbers are the prior's more than the data's.
+
+    Parameters
+    ----------
+    decided : array_like
+        Shares that the data decided; NaN where there is no posterior.
+
+    Returns
+    -------
+    priors : ndarray of bool
+        True below `PRIOR_BELOW`, and where the share is NaN.
+    """
+    return ~(np.asarray(decided, dtype=np.float64) >= PRIOR_BELOW)
 
 
 def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:

@@ -16,10 +16,9 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.plot.campaign_plot import campaign as draw_campaign
 from bayes_rs.plot.campaign_plot import record_means
+from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.tables import folded, interval, lines, number, table
 
-_DECIDED = 0.5
-"""Share from which on the data decided more than the prior."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def campaign_section(shown: CampaignShown | str) -> str:
 def _words(shown: CampaignShown) -> str:
     rows = shown.table[shown.table["bin"] == ALL].set_index("quantity")
     share = {name: float(rows["decided"][name]) for name in STRESSES}
-    prior = [name for name in STRESSES if not share[name] >= _DECIDED]
+    prior = [name for name in STRESSES if is_priors(share[name])]
     said = campaign_words(shown.about, shown.table)
     if prior:
         said.append(

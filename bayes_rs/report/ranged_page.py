@@ -12,6 +12,7 @@ import matplotlib as mpl
 
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.plot.profile_plot import profile
+from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.report import describe_report
 from bayes_rs.report.page import content_hash, fill, shipped
 from bayes_rs.report.tables import flat, folded, interval, lines, number, pairs, table
@@ -110,7 +111,7 @@ def _table(rows: Any) -> str:
             [
                 number(float(value)),
                 *(
-                    interval(row["estimate"], row["low"], row["high"]) + ("*" if row["decided"] < 0.5 else "")
+                    interval(row["estimate"], row["low"], row["high"]) + ("*" if is_priors(row["decided"]) else "")
                     for row in (by_name[name] for name in quantities)
                 ),
             ]

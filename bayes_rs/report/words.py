@@ -6,6 +6,7 @@ import numpy as np
 
 from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import NO_VALUE, number
 
@@ -55,7 +56,7 @@ def decided_words(found: ReportData) -> list[str]:
     learnt = np.nanmedian(found.per_record["stresses_learnt"][found.fitted])
     lines.append(f"Stresses learnt from the data, of six: {learnt:.1f} in the median record.")
     middle = np.nanmedian(found.numbers["decided"][found.fitted], axis=0)
-    data = [name for name, value in zip(STRESSES, middle, strict=True) if value > 0.5]
+    data = [name for name, value in zip(STRESSES, middle, strict=True) if not is_priors(value)]
     prior = [name for name in STRESSES if name not in data]
     if data:
         lines.append(f"In the median record the data decided more than half of: {', '.join(data)}.")
