@@ -24,6 +24,11 @@ OTHER_COLOUR = "#E69F00"
 COLOURS = (POSTERIOR_COLOUR, OTHER_COLOUR, "#009E73", "#CC79A7", "#56B4E9", "#000000")
 """Of several cases, in this order; of Okabe and Ito (2008), which people with any colour vision tell apart."""
 HATCH = "////"
+DATA_MARK: dict[str, Any] = {"color": POSTERIOR_COLOUR}
+PRIOR_MARK: dict[str, Any] = {"color": PRIOR_COLOUR, "markerfacecolor": "white"}
+"""How marks are drawn, of what the data decided and of what is mostly the prior's."""
+BEHIND: dict[str, Any] = {"color": PRIOR_COLOUR, "alpha": 0.15, "linewidth": 0}
+"""How the prior's band behind a posterior is drawn."""
 PRIORS = "mostly the prior's: the data decided less than half"
 """What the legend says of what is hatched grey."""
 

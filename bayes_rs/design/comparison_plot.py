@@ -83,8 +83,8 @@ def comparison(
     axes = grid_axes(posterior)
     if axes:
         return grid_figure(posterior, axes, stresses, figure)  # type: ignore[return-value] # what was given, or new
-    drawn = _bar_figure(posterior, table[table["estimator"] == classic], stresses, classic, figure)
-    return drawn  # type: ignore[return-value] # what was given, or new
+    old = table[table["estimator"] == classic]
+    return _bar_figure(posterior, old, stresses, classic, figure)  # type: ignore[return-value] # as above
 
 
 def _bar_figure(
@@ -97,7 +97,7 @@ def _bar_figure(
     height = 0.9 + 0.42 * len(scans) * n_case
     target = new_or_given(figure, (3.6 * n_column + 1.4, n_row * height + 1.4))
     grid = target.subplots(n_row, n_column, sharey=True, squeeze=False)
-    panels = grid.ravel()[: len(stresses)]
+    panels: list[Axes] = grid.ravel()[: len(stresses)].tolist()
     for panel, stress in zip(panels, stresses, strict=True):
         rows = posterior[posterior["stress"] == stress]
         own = (rows["prior_width_90_at_size"] * rows["width_ratio"] / rows["width_90"]).to_numpy(dtype=np.float64)

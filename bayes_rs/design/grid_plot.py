@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.design.scan_grid import DESIGN
-from bayes_rs.pictures import COLOURS, HATCH, PRIOR_COLOUR, PRIORS, new_or_given, prior_patch
+from bayes_rs.pictures import COLOURS, HATCH, PRIOR_COLOUR, PRIOR_MARK, PRIORS, new_or_given, prior_patch
 from bayes_rs.posteriors.decided import PRIOR_BELOW, is_priors
 
 WIDTH = "90 % width / uu"
@@ -116,7 +117,8 @@ def _lines(panel: Axes, rows: pd.DataFrame, across: str) -> None:
                 + (f", {'with' if centre else 'without'} a centre beam" if kinds == 2 else ""),
             )
             of_prior = is_priors(ordered["decided"])
-            for mask, style in ((~of_prior, {"color": colour}), (of_prior, {"color": PRIOR_COLOUR, "mfc": "white"})):
+            own: dict[str, Any] = {"color": colour}
+            for mask, style in ((~of_prior, own), (of_prior, PRIOR_MARK)):
                 chosen = ordered[mask]
                 panel.plot(chosen[across], chosen["width_ratio"], "o", markersize=4.5, **style)
             panel.plot(ordered[across], _of_prior(ordered), ":", color=PRIOR_COLOUR, linewidth=1.5)

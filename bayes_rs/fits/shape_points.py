@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
@@ -12,7 +13,7 @@ from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.posteriors.decided import is_priors
 
-_NAMES = ("lumley_xi", "lumley_eta")
+SHAPE_NAMES = ("lumley_xi", "lumley_eta")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +36,15 @@ class ShapePoints:
     words: str
 
 
-def shape_points(fit: Fit) -> ShapePoints:
+def shape_points(fit: Fit, table: pd.DataFrame | None = None) -> ShapePoints:
     """Return the point of each record in Lumley's triangle.
 
     Parameters
     ----------
     fit : Fit
         The fit.
+    table : DataFrame, optional
+        Its summary with ``lumley_xi`` and ``lumley_eta``, where it is there already.
 
     Returns
     -------
@@ -54,16 +57,19 @@ def shape_points(fit: Fit) -> ShapePoints:
     ξ and η are functions of R that curve, so that they are taken of each draw: the posterior mean of R is closer to
     isotropy than nearly all draws where R is not well known, and would stand outside their cloud.
     """
-    if not fit.has_draws and not set(_NAMES) <= set(fit.settings["fit"]["derived"]):
+    if table is None and not fit.has_draws and not set(SHAPE_NAMES) <= set(fit.settings["fit"]["derived"]):
         mean = fit.of_stresses("mean")["mean"]
         middle = np.full((fit.n_record, 2), np.nan)
         known = np.isfinite(mean).all(axis=1)
         middle[known] = np.stack(lumley_coordinates(mean[known]), axis=-1)
         return ShapePoints(middle, None, None, "of the posterior mean of R (no draws were kept)")
-    own = tuple(fit.settings["fit"]["derived"])
-    table = fit.summary(derived=own if set(_NAMES) <= set(own) else _NAMES)
+    if table is None:
+        own = tuple(fit.settings["fit"]["derived"])
+        table = fit.summary(derived=own if set(SHAPE_NAMES) <= set(own) else SHAPE_NAMES)
     found = {
-        name: np.stack([table.loc[table["stress"] == one, name].to_numpy(dtype=np.float64) for one in _NAMES], axis=-1)
+        name: np.stack(
+            [table.loc[table["stress"] == one, name].to_numpy(dtype=np.float64) for one in SHAPE_NAMES], axis=-1
+        )
         for name in ("median", "low", "high")
     }
     return ShapePoints(found["median"], found["low"], found["high"], "medians of the posterior")

@@ -18,7 +18,7 @@ from bayes_rs.fits.campaign_words import ALL, share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIORS, Picture, new_or_given
+from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, PRIORS, Picture, new_or_given
 from bayes_rs.plot.style import prior_band
 from bayes_rs.posteriors.decided import is_priors
 
@@ -59,7 +59,7 @@ def campaign(fit: Fit, *, figure: _Given | None = None) -> _Given | Picture:
     table, hyper = fit.campaign(), fit.campaign_hyper()
     height = max(7.0, 1.6 + _ROW_HEIGHT * len(hyper))
     target = new_or_given(figure, (12.0, height))
-    grid = target.add_gridspec(2, 2)
+    grid = target.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
     _draw_means(target.add_subplot(grid[0, 0]), table, fit)
     _draw_intensity(target.add_subplot(grid[1, 0]), table)
     _draw_hyper(target.add_subplot(grid[:, 1]), hyper)
@@ -95,7 +95,7 @@ def _bars(
         drawn = axis.errorbar(
             place[mask], middle[mask], yerr=ends[:, mask], fmt=marker, markersize=5, capsize=3, zorder=3, **style
         )
-        for line in drawn[2] if style["color"] == PRIOR_COLOUR else ():
+        for line in drawn[2] if style is PRIOR_MARK else ():
             line.set_linestyle("--")
 
 
@@ -143,8 +143,8 @@ def _draw_intensity(axis: Axes, table: pd.DataFrame) -> None:
     any_prior = False
     handles = []
     for quantity, label, colour, marker in (
-        ("ti", f"mean, {which}", POSTERIOR_COLOUR, "o"),
-        ("ti_p90", f"90 % quantile over the records, {which}", OTHER_COLOUR, "s"),
+        ("ti", "mean", POSTERIOR_COLOUR, "o"),
+        ("ti_p90", "90 % quantile over the records", OTHER_COLOUR, "s"),
     ):
         rows = speed_bins(table, quantity)
         speed, middle, low, high = (rows[name].to_numpy(dtype=np.float64) for name in ("speed", "mean", "low", "high"))
@@ -154,12 +154,14 @@ def _draw_intensity(axis: Axes, table: pd.DataFrame) -> None:
         axis.plot(speed, middle, color=colour, linewidth=1.2)
         _bars(axis, speed, rows, colour, of_prior, marker)
         handles.append(Line2D([], [], color=colour, marker=marker, label=label))
-    axis.set_ylim(0.0, axis.get_ylim()[1] * 1.25)  # room for the legend
+    axis.set_ylim(0.0, axis.get_ylim()[1] * 1.4)  # room for the legend
     axis.set_xlabel("wind speed [m/s]")
     axis.set_ylabel("turbulence intensity σ_u/U [1]")
     axis.set_title("Turbulence intensity by wind speed", fontsize=10)
     axis.grid(alpha=0.3)
-    axis.legend(handles=[*handles, *([_prior_handle()] if any_prior else [])], frameon=False, fontsize=8)
+    if any_prior:
+        handles.append(_prior_handle())
+    axis.legend(handles=handles, title=which, title_fontsize=8, frameon=False, fontsize=8, loc="upper left")
 
 
 def _draw_hyper(axis: Axes, hyper: pd.DataFrame) -> None:

@@ -115,7 +115,15 @@ def corner(
                 _draw_one(panel, prior[:, i], posterior[:, i], i, of_prior=of_prior)
                 low, high = interval_of(posterior[:, i], prob, kind)
                 words = f"{STRESSES[i]} = {np.median(posterior[:, i]):.2f}\n{low:.2f} to {high:.2f}\n"
-                panel.set_title(words + _share_line(float(decided[i])), fontsize=8)
+                words += _share_line(float(decided[i]))
+                # only the first needs room of its own: above the others there is no panel
+                place: dict[str, Any] = {
+                    "transform": panel.transAxes,
+                    "ha": "center",
+                    "va": "bottom",
+                    "in_layout": row == 0,
+                }
+                panel.text(0.5, 1.03, words, fontsize=8, **place)
             else:
                 _draw_pair(panel, prior[:, [j, i]], posterior[:, [j, i]], (j, i), of_prior=of_prior)
                 panel.set_ylim(*ranges[i])
@@ -211,9 +219,10 @@ def _draw_pair(panel: Axes, prior: FloatArray, posterior: FloatArray, pair: tupl
     panel.contour(x, y, density, levels=levels, colors=POSTERIOR_COLOUR, linewidths=1.2)
 
 
-def _mixed(colour: str, share: float) -> tuple[float, ...]:
+def _mixed(colour: str, share: float) -> tuple[float, float, float]:
     """Return a colour on white paper."""
-    return tuple(1.0 - share * (1.0 - part) for part in to_rgb(colour))
+    red, green, blue = (1.0 - share * (1.0 - part) for part in to_rgb(colour))
+    return red, green, blue
 
 
 def _finish_panel(panel: Axes, across: str, along: str, *, last: bool, first: bool) -> None:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from bayes_rs._validation import FloatArray
 
+_Bound = Literal["reflect", "constant"]
 LEVELS = (0.68, 0.95)
 """Probability inside the contours of pictures."""
 _N_GRID = 144
 _MOST_DRAWS = 2000
 """Draws that count for the bandwidth: those of chains are worth fewer than there are."""
+_SMOOTHER = 1.25
+"""By which factor the bandwidth of pairs exceeds Scott's rule, for outlines that do not tremble."""
 _WIDER, _WIDEST = 1.2, 3.0
 """By which factor a bandwidth grows while a contour has islands, and to which multiple at most."""
 
@@ -50,7 +54,7 @@ class Axis:
         low, high = np.quantile(self.place, [0.25, 0.75])
         return min(float(self.place.std()), float(high - low) / 1.349) or float(self.place.std()) or 1.0
 
-    def edges(self, width: float) -> tuple[FloatArray, str]:
+    def edges(self, width: float) -> tuple[FloatArray, _Bound]:
         """Return the edges of the cells for a bandwidth, and how the first edge bounds them."""
         low, high = float(self.place.min()) - 4.0 * width, float(self.place.max()) + 4.0 * width
         bounded = self.positive and low < 0.0
@@ -115,15 +119,16 @@ def smooth_pair(
 
     Notes
     -----
-    A Gaussian kernel on the coordinates of `Axis`, its width by Scott's rule for the spread of one coordinate where the
-    other is known; wider, up to three times, while a contour has islands. The region above the 1 − p quantile of the
-    density at the draws holds the share p of them, whatever the width: it is the estimate of the region of highest
-    density by Hyndman (1996), The American Statistician 50, 120–126, doi:10.1080/00031305.1996.10474359.
+    A Gaussian kernel on the coordinates of `Axis`, its width `_SMOOTHER` times that of Scott's rule for the spread of
+    one coordinate where the other is known; wider, up to three times, while a contour has islands. The region above the
+    1 − p quantile of the density at the draws holds the share p of them, whatever the width: it is the estimate of the
+    region of highest density by Hyndman (1996), The American Statistician 50, 120–126,
+    doi:10.1080/00031305.1996.10474359.
     """
     axes = [Axis.of(draws, positive=bound) for draws, bound in zip((first, second), positive, strict=True)]
     with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal
         alone = np.sqrt(max(1.0 - np.nan_to_num(np.corrcoef(axes[0].place, axes[1].place)[0, 1]) ** 2, 0.05))
-    factor = alone * min(len(first), _MOST_DRAWS) ** (-1.0 / 6.0)
+    factor = _SMOOTHER * alone * min(len(first), _MOST_DRAWS) ** (-1.0 / 6.0)
     widest = _WIDEST * factor
     while True:
         found = _pair_at(axes, factor, levels)
@@ -152,13 +157,13 @@ def _pair_at(
     return axes[0].values(middles[0]), axes[1].values(middles[1]), density, value
 
 
-def _filtered(count: FloatArray, sigma: tuple[float, ...], bounds: tuple[str, ...]) -> FloatArray:
-    from scipy import ndimage  # noqa: PLC0415 - only where densities are drawn
+def _filtered(count: FloatArray, sigma: tuple[float, ...], bounds: tuple[_Bound, ...]) -> FloatArray:
+    import scipy  # noqa: PLC0415 - only where densities are drawn
 
-    return np.asarray(ndimage.gaussian_filter(count, sigma, mode=list(bounds), truncate=5.0))
+    return np.asarray(scipy.ndimage.gaussian_filter(count, sigma, mode=list(bounds), truncate=5.0))
 
 
 def _has_islands(density: FloatArray, value: FloatArray) -> bool:
-    from scipy import ndimage  # noqa: PLC0415 - only where densities are drawn
+    import scipy  # noqa: PLC0415 - only where densities are drawn
 
-    return any(ndimage.label(density >= one)[1] > 1 for one in value)
+    return any(scipy.ndimage.label(density >= one)[1] > 1 for one in value)

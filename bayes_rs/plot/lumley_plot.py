@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray
@@ -15,7 +16,7 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.shape_points import ShapePoints, shape_is_priors, shape_points
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR, Picture, axes_of
+from bayes_rs.pictures import DATA_MARK, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, TRUTH_COLOUR, Picture, axes_of
 from bayes_rs.plot.density import LEVELS, smooth_pair
 from bayes_rs.plot.style import known_stresses
 
@@ -61,10 +62,11 @@ def lumley(
     marks = None if truth is None else known_stresses(truth, fit.n_record)
     index = None if record is None else fit.find_record(record)
     axis, given = axes_of(ax, (6.8, 6.0))
-    _draw_triangle(axis)
+    inside = _draw_triangle(axis)
     priors = fit.prior_draws[: 2 * _MOST_DRAWS]
     x, y, density, value = smooth_pair(*lumley_coordinates(priors), positive=(False, True), levels=LEVELS)
-    axis.contour(x, y, density, levels=np.sort(value), colors=PRIOR_COLOUR, linestyles="--", linewidths=1.0)
+    outline = axis.contour(x, y, density, levels=np.sort(value), colors=PRIOR_COLOUR, linestyles="--", linewidths=1.0)
+    outline.set_clip_path(inside)
     found = shape_points(fit)
     of_prior = shape_is_priors(fit)
     shown = fit.fitted if index is None else np.arange(fit.n_record) == index
@@ -78,10 +80,10 @@ def lumley(
             Line2D([], [], color=colour, marker=".", markersize=3, linestyle="", label="draws of the record")
         )
     for mask, style, words in (
-        (shown & ~of_prior, {"color": POSTERIOR_COLOUR}, ""),
+        (shown & ~of_prior, DATA_MARK, ""),
         (
             shown & of_prior,
-            {"color": PRIOR_COLOUR, "markerfacecolor": "white"},
+            PRIOR_MARK,
             "mostly the prior’s: the data decided\nless than half of uu, vv or ww",
         ),
     ):
@@ -107,19 +109,22 @@ def lumley(
     return given  # type: ignore[return-value] # what was given, or new
 
 
-def _draw_triangle(axis: Axes) -> None:
+def _draw_triangle(axis: Axes) -> Polygon:
+    """Draw the border of what is realizable, and return it."""
     xi = np.linspace(-1.0 / 6.0, 1.0 / 3.0, 201)
-    axis.plot(xi, np.sqrt(1.0 / 27.0 + 2.0 * xi**3), color="0.3", linewidth=1.2)
-    axis.plot([-1.0 / 6.0, 0.0, 1.0 / 3.0], [1.0 / 6.0, 0.0, 1.0 / 3.0], color="0.3", linewidth=1.2)
+    upper = np.stack([xi, np.sqrt(np.maximum(1.0 / 27.0 + 2.0 * xi**3, 0.0))], axis=-1)
+    border = Polygon(np.concatenate([upper, [[0.0, 0.0]]]), facecolor="none", edgecolor="0.3", linewidth=1.2, zorder=2)
+    axis.add_patch(border)
     for place, words, side in (
         ((0.0, 0.0), "isotropic", ("center", "top", 0, -3)),
         ((1.0 / 3.0, 1.0 / 3.0), "one component", ("right", "bottom", 0, 5)),
-        ((-1.0 / 6.0, 1.0 / 6.0), "two equal\ncomponents", ("left", "top", -18, -12)),
+        ((-1.0 / 6.0, 1.0 / 6.0), "two equal\ncomponents", ("left", "bottom", -18, 12)),
     ):
         horizontal, vertical, right, up = side
         axis.annotate(
             words, place, (right, up), textcoords="offset points", ha=horizontal, va=vertical, fontsize=9, zorder=6
         )
+    return border
 
 
 def _point_words(fit: Fit, found: ShapePoints) -> str:
@@ -139,5 +144,9 @@ def _draw_points(
         ends: FloatArray = np.maximum([found.middle - found.low, found.high - found.middle], 0.0)[:, mask]
         # lists: matplotlib 3.10 takes the array of one record for a number
         bars = {"xerr": ends[..., 0].tolist(), "yerr": ends[..., 1].tolist()}
-    size = {"markersize": 7, "elinewidth": 1.2, "zorder": 4} if large else {"markersize": 3.5, "elinewidth": 0.4}
-    axis.errorbar(x, y, **bars, fmt="o", **size, **style)
+    size: dict[str, Any] = (
+        {"markersize": 7, "elinewidth": 1.2, "zorder": 4} if large else {"markersize": 3.5, "elinewidth": 0.4}
+    )
+    drawn = axis.errorbar(x, y, **bars, fmt="o", **size, **style)
+    for line in drawn[2]:
+        line.set_alpha(float(np.clip(20.0 / max(len(x), 1), 0.12, 1.0)))  # many bars would hide the points

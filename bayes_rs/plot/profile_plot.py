@@ -18,12 +18,11 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, PRIORS, Picture, new_or_given
+from bayes_rs.pictures import BEHIND, DATA_MARK, PRIOR_MARK, PRIORS, Picture, new_or_given
 from bayes_rs.plot.style import prior_band, prior_words
 from bayes_rs.posteriors.decided import is_priors
 
 _Given = TypeVar("_Given", bound=FigureBase)
-_BEHIND = {"color": PRIOR_COLOUR, "alpha": 0.15, "linewidth": 0}
 
 
 def profile(fit: Fit, record: int | str | None = None, *, figure: _Given | None = None) -> _Given | Picture:
@@ -111,18 +110,18 @@ def _draw(axis: Axes, rows: pd.DataFrame, behind: FloatArray, *, upright: bool) 
     )
     of_range = dict(zip(behind[:, 0].tolist(), behind[:, 1:].tolist(), strict=True))
     band = np.array([of_range.get(one, [np.nan, np.nan]) for one in rows["range"].tolist()])
-    (axis.fill_betweenx if upright else axis.fill_between)(place, band[:, 0], band[:, 1], **_BEHIND)
+    (axis.fill_betweenx if upright else axis.fill_between)(place, band[:, 0], band[:, 1], **BEHIND)
     of_prior = is_priors(share)
     axis.plot(*((middle, place) if upright else (place, middle)), color="0.6", linewidth=0.8, zorder=1)
     for mask, style in (
-        (~of_prior, {"color": POSTERIOR_COLOUR}),
-        (of_prior, {"color": PRIOR_COLOUR, "markerfacecolor": "white"}),
+        (~of_prior, DATA_MARK),
+        (of_prior, PRIOR_MARK),
     ):
         ends = np.maximum([middle - low, high - middle], 0.0)[:, mask]
         one, other = (middle[mask], place[mask]) if upright else (place[mask], middle[mask])
         error: dict[str, Any] = {"xerr": ends} if upright else {"yerr": ends}
         drawn = axis.errorbar(one, other, **error, fmt="o", markersize=5, elinewidth=1.4, capsize=2, **style)
-        if style["color"] == PRIOR_COLOUR:
+        if style is PRIOR_MARK:
             for line in drawn[2]:
                 line.set_linestyle("--")
     if rows["quantity"].iloc[0] in ("uv", "uw", "vw"):
@@ -138,8 +137,8 @@ def _handles(table: pd.DataFrame, which: str, behind: str) -> list[Artist]:
     style: dict[str, Any] = {"marker": "o", "linewidth": 1.4}
     found: list[Artist] = []
     if not priors.all():
-        found.append(Line2D([], [], color=POSTERIOR_COLOUR, **style, label=f"{of}, {which}"))
+        found.append(Line2D([], [], **DATA_MARK, **style, label=f"{of}, {which}"))
     if priors.any():
         label = PRIORS if not priors.all() else f"{of}, {which}, {PRIORS}"
-        found.append(Line2D([], [], color=PRIOR_COLOUR, linestyle="--", markerfacecolor="white", **style, label=label))
-    return [*found, Patch(**_BEHIND, label=behind)]
+        found.append(Line2D([], [], **PRIOR_MARK, linestyle="--", **style, label=label))
+    return [*found, Patch(**BEHIND, label=behind)]

@@ -19,9 +19,12 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import INTERVALS, interval_of_ordered, interval_words, quantile_of_ordered
 from bayes_rs.pictures import (
+    BEHIND,
+    DATA_MARK,
     OTHER_COLOUR,
     POSTERIOR_COLOUR,
     PRIOR_COLOUR,
+    PRIOR_MARK,
     TRUTH_COLOUR,
     Picture,
     hatched,
@@ -36,7 +39,6 @@ from bayes_rs.posteriors.decided import is_priors
 MOST_POINTS = 3000
 """Records of which each is drawn; of more, medians over so many in a row that there are at most that many points."""
 _Given = TypeVar("_Given", bound=FigureBase)
-_BEHIND = {"color": PRIOR_COLOUR, "alpha": 0.15, "linewidth": 0}
 
 
 def stresses(
@@ -112,7 +114,7 @@ def stresses(
     if len(marked):
         style: dict[str, Any] = {"color": OTHER_COLOUR, "marker": "|", "linestyle": "", "markersize": 9}
         handles.append(Line2D([], [], **style, label="flagged record"))
-    target.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+    target.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     axes[-1].set_xlabel("start of the record (UTC)" if has_time else "record")
     if has_time:
         _date_axis(axes[-1])
@@ -167,41 +169,40 @@ def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: Float
     if len(when) == 1:
         _draw_one(axis, when, bands, behind, of_prior=bool(of_prior[0]))
         return
-    axis.fill_between(when, *behind, **_BEHIND)
+    axis.fill_between(when, *behind, **BEHIND)
     at, levels = with_middles(when, bands)
-    marker = "." if len(when) < 40 else ""
-    for mask, style, faces in (
-        (
-            fitted & ~of_prior,
-            {"color": POSTERIOR_COLOUR},
-            _faces({"color": POSTERIOR_COLOUR, "linewidth": 0}, (0.25, 0.45)),
-        ),
-        (
-            of_prior,
-            {"color": PRIOR_COLOUR, "linestyle": "--"},
-            (hatched(linewidth=0.8), {"color": PRIOR_COLOUR, "alpha": 0.3, "linewidth": 0}),
-        ),
+    marker = "o" if len(when) < 40 else ""
+    blue: dict[str, Any] = {"color": POSTERIOR_COLOUR, "linewidth": 0}
+    grey: dict[str, Any] = {"color": PRIOR_COLOUR, "linewidth": 0, "alpha": 0.3}
+    for mask, style, line, faces in (
+        (fitted & ~of_prior, DATA_MARK, "-", ({**blue, "alpha": 0.25}, {**blue, "alpha": 0.45})),
+        (of_prior, PRIOR_MARK, "--", (hatched(linewidth=0.8), grey)),
     ):
         if not mask.any():
             continue
         where = reach_halfway(mask)
         for outer, face in zip(range(len(bands) // 2), faces, strict=False):
             axis.fill_between(at, levels[outer], levels[-1 - outer], where=where.tolist(), **face)
-        axis.plot(at, np.where(where, levels[len(bands) // 2], np.nan), linewidth=1.2, **style)
-        axis.plot(when[mask], bands[len(bands) // 2][mask], linestyle="", marker=marker, color=style["color"])
+        middle = len(bands) // 2
+        axis.plot(at, np.where(where, levels[middle], np.nan), linewidth=1.2, linestyle=line, **style)
+        axis.plot(when[mask], bands[middle][mask], linestyle="", marker=marker, markersize=3.5, **style)
+        alone = mask & _alone(fitted)
+        if alone.any():  # no band reaches it
+            ends = np.abs(bands[[0, -1]] - bands[middle])[:, alone]
+            axis.errorbar(when[alone], bands[middle][alone], yerr=ends, fmt="o", markersize=4, capsize=2, **style)
 
 
-def _faces(style: dict[str, Any], alphas: tuple[float, ...]) -> tuple[dict[str, Any], ...]:
-    return tuple({**style, "alpha": alpha} for alpha in alphas)
+def _alone(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which points have no neighbour, shape (n_point,)."""
+    padded = np.concatenate([[False], fitted, [False]])
+    return np.asarray(fitted & ~padded[:-2] & ~padded[2:])
 
 
 def _draw_one(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: FloatArray, *, of_prior: bool) -> None:
     """Draw a single record: a point with bars, on the prior's."""
     low, middle, high = bands[0], bands[len(bands) // 2], bands[-1]
     axis.vlines(when, *behind, color=PRIOR_COLOUR, alpha=0.25, linewidth=14)
-    style: dict[str, Any] = {"color": POSTERIOR_COLOUR}
-    if of_prior:
-        style = {"color": PRIOR_COLOUR, "markerfacecolor": "white"}
+    style = PRIOR_MARK if of_prior else DATA_MARK
     bars = axis.errorbar(when, middle, yerr=np.abs([low - middle, high - middle]), fmt="o", capsize=3, **style)
     if of_prior:
         for line in bars[2]:
@@ -221,7 +222,7 @@ def _handles(decided: FloatArray, names: list[str], behind: str) -> list[Artist]
         ]
     if priors.any():
         found.append(prior_patch())
-    return [*found, Patch(**_BEHIND, label=behind)]
+    return [*found, Patch(**BEHIND, label=behind)]
 
 
 def _truth_style(n_record: int) -> dict[str, Any]:

@@ -74,6 +74,6 @@ def prior_interval_at_size(
 
 
 def _normal_scores(n: int) -> FloatArray:
-    from scipy.special import ndtri  # noqa: PLC0415 - only where pictures are drawn
+    import scipy  # noqa: PLC0415 - only where pictures are drawn
 
-    return np.asarray(ndtri((np.arange(n) + 0.5) / n))
+    return np.asarray(scipy.special.ndtri((np.arange(n) + 0.5) / n))

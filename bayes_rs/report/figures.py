@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.summarizing import OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
@@ -134,12 +133,12 @@ def decided_data(found: ReportData) -> list[Any] | None:
 
 
 def shape_data(found: ReportData) -> dict[str, Any] | None:
-    """Return where the posterior means are in the Lumley triangle; None if no record was fitted."""
+    """Return the records' points in the Lumley triangle, by `shape_points`; None if no record was fitted."""
     rows = np.flatnonzero(found.fitted)
     if not len(rows):
         return None
     some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_SHAPE_POINTS)).round().astype(np.int64))
-    xi, eta = lumley_coordinates(found.numbers["mean"][rows[some]])
+    xi, eta = found.shape.middle[rows[some]].T
     return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
 
 

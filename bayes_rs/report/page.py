@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.records.report import describe_report
@@ -146,7 +145,7 @@ def _key(kind: str, text: str) -> str:
 def _lead(found: ReportData) -> str:
     text = "Bayesian estimate of the six Reynolds stresses from the variances of a Doppler lidar's beams"
     when = words.period(found)
-    text += f"{f', records from {when}' if when else ''}. Intervals hold {100.0 * found.prob:g} % probability."
+    text += f"{f', records from {when}' if when else ''}. Intervals hold {100.0 * found.prob:g} % probability and are {found.interval}."
     probe = str(found.run.get("probe_volume") or "")
     return f"{text} {probe[:1].upper()}{probe[1:]}." if probe else text
 
@@ -423,18 +422,18 @@ def _shape_section(found: ReportData, data: dict[str, Any]) -> str:
     if data["shape"] is None:
         return ""
     caption = (
-        _key("dot", "posterior mean of each record")
+        _key("dot", f"each record: {found.shape.words}")
         + (_key("cloud", "draws of the chosen record") if "draws" in data["records"] else "")
         + _key("chosen", "the chosen record")
         + "The Lumley triangle: every realizable tensor is inside; bottom, all three principal variances are equal; "
         "right corner, only one is not zero; upper curve, one is zero."
     )
-    points = lumley_coordinates(found.numbers["mean"][found.fitted])
+    points = found.shape.middle[found.fitted].T
     rows = [
         (name, *(number(value) for value in np.quantile(values, [0.05, 0.5, 0.95]).tolist()))
         for name, values in zip(("ξ", "η"), points, strict=True)
     ]
-    content = table("Shape of the posterior means over the records", ("coordinate", "5 %", "median", "95 %"), rows)
+    content = table("Shape over the records", ("coordinate", "5 %", "median", "95 %"), rows)
     return _figure("shape", caption, folded("Table: shape of the tensor", content))
 
 
