@@ -145,7 +145,8 @@ def _key(kind: str, text: str) -> str:
 def _lead(found: ReportData) -> str:
     text = "Bayesian estimate of the six Reynolds stresses from the variances of a Doppler lidar's beams"
     when = words.period(found)
-    text += f"{f', records from {when}' if when else ''}. Intervals hold {100.0 * found.prob:g} % probability and are {found.interval}."
+    text += f"{f', records from {when}' if when else ''}."
+    text += f" Intervals hold {100.0 * found.prob:g} % probability and are {found.interval}."
     probe = str(found.run.get("probe_volume") or "")
     return f"{text} {probe[:1].upper()}{probe[1:]}." if probe else text
 
