@@ -78,7 +78,7 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
             fits[name] = fit(records, scan, seed=seed, noise=noise, output=folder / name)
             draw_pictures(fits[name], folder / name)
             yield f"{TITLES[name]}: {fits[name].n_fitted} of {fits[name].n_record} records fitted"
-        _side_by_side(fits, stresses).savefig(folder / "corner-side-by-side.png", dpi=150)
+        _side_by_side(fits, stresses).savefig(folder / "corner-side-by-side.png", dpi=130)
         table = width_table(fits)
         table.to_csv(folder / "widths.csv", float_format="%.4f")
         write_run(folder, {"demo": sorted(fits), "seed": seed})
