@@ -17,7 +17,6 @@ from report_scene import EVIL, demo_records, evil_folder, result_folder, table_f
 
 from bayes_rs import STRESSES, InputError, fit, open_fit, write_report
 from bayes_rs.cli.report_command import report
-from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
 from bayes_rs.report import figures, page
 from bayes_rs.report.availability import make_availability
@@ -205,9 +204,9 @@ class TestNumbers:
         assert data["count"] == [15]
         assert data["points"]["median"][0] == pytest.approx(found.derived["ti"]["median"][0], rel=1e-3)
 
-    def test_the_shape_coordinates_are_those_of_the_means(self, full, full_page):
+    def test_the_shape_coordinates_are_those_of_the_table(self, full, full_page):
         found, data = report_of(full), data_of(full_page)
-        xi, eta = lumley_coordinates(found.numbers["mean"][found.fitted])
+        xi, eta = found.shape.middle[found.fitted].T
         np.testing.assert_allclose(data["shape"]["xi"], xi, rtol=1e-3)
         np.testing.assert_allclose(data["shape"]["eta"], eta, rtol=1e-3)
         assert data["shape"]["record"] == [0, 1, 3, 4, 5]
