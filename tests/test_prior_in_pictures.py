@@ -257,6 +257,10 @@ class TestShown:
         assert isinstance(figure, Picture)
         assert figure._repr_png_().startswith(b"\x89PNG")
         assert plt.get_fignums() == []
+        from IPython.core.formatters import DisplayFormatter  # noqa: PLC0415 - slow to load
+
+        shown, _ = DisplayFormatter().format(figure)  # what a notebook shows, with no magic and no pyplot
+        assert sorted(shown) == ["image/png", "text/plain"]
 
 
 def luminance(colour):
