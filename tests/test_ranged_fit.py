@@ -238,7 +238,7 @@ class TestPictures:
         assert isinstance(figure, Figure)
         assert len(figure.axes) == 7
         assert figure.axes[-1].get_xlabel() == "range [m]"
-        assert brs.plot.profile(found, record=0).axes[0].get_ylabel() == "TI, σ_u/U"
+        assert brs.plot.profile(found, record=0).axes[0].get_ylabel() == "TI, σ_u/U [1]"
         with pytest.raises(InputError, match="is of one range, and has no profile"):
             brs.plot.profile(found.at(52.0))
         with pytest.raises(InputError, match="at 2 ranges"):
