@@ -9,6 +9,7 @@ import click
 
 from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
+from bayes_rs.cli.voice import answer, tell
 
 if TYPE_CHECKING:
     from bayes_rs.noise.noise import Noise
@@ -22,10 +23,11 @@ _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_de
 @click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Same seed, same numbers.")
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
-    from bayes_rs.cli.demo_job import run_demo
+    from bayes_rs.cli.demo_job import demo_widths, run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
-        click.echo(line)
+        tell(line, wrap=False)
+    answer({"folder": output, "unit": "m2 s-2", "width_90": demo_widths(output)})
 
 
 @click.command(cls=GroupedCommand)
@@ -50,7 +52,8 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str 
         made, _ = records_and_scan(settings)
         write_netcdf(made if turbine is None else with_turbine(made, turbine), part)
     ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
-    click.echo(f"{made.sizes['record']} records{ranges} in {output}")
+    tell(f"{made.sizes['record']} records{ranges} in {output}")
+    answer({"file": str(output), "n_record": made.sizes["record"], "n_range": made.sizes.get("range", 1)})
     exit_if_doubtful(made)
 
 
@@ -85,7 +88,8 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
         target_ess=settings.fit.target_ess,
     )
     for line in made.lines():
-        click.echo(line)
+        tell(line)
+    answer({"title": made.title, "steps": [vars(step) for step in made.steps]})
 
 
 @click.command(cls=GroupedCommand)
@@ -164,8 +168,17 @@ def calibrate(
         )
         noise.save(part)
     for line in _noise_lines(noise):
-        click.echo(line)
-    click.echo(f"noise in {output}")
+        tell(line)
+    tell(f"noise in {output}")
+    answer(
+        {
+            "file": str(output),
+            "states": [
+                {"wind_speed": float(speed), "unit": "m/s", "least": float(error.min()), "most": float(error.max())}
+                for speed, error in zip(noise.wind_speed, noise.relative_error, strict=True)
+            ],
+        }
+    )
 
 
 def _noise_lines(noise: Noise) -> list[str]:

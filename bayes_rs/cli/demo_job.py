@@ -106,6 +106,12 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
     return pd.DataFrame(rows).T
 
 
+def demo_widths(folder: str | Path) -> dict[str, dict[str, float]]:
+    """Return the table of widths of a demo's folder, as plain numbers by lidar and stress."""
+    table = pd.read_csv(Path(folder) / "widths.csv", index_col=0)
+    return {str(name): {str(stress): float(value) for stress, value in row.items()} for name, row in table.iterrows()}
+
+
 def _prior_width(found: Fit) -> FloatArray:
     from bayes_rs.plot.corner_plot import prior_at_size
     from bayes_rs.posteriors.diagnostics import central_interval

@@ -18,6 +18,7 @@ from bayes_rs.fits.fit_folder import MOST_CSV, fit_into, ranged_fit_in
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
+from bayes_rs.fits.people_table import PEOPLE_FILE, write_people_table
 from bayes_rs.fits.plan import Plan, option_parts, plain_options, plan_fit, software, version_parts, with_settings
 from bayes_rs.fits.prepare import LEAST_WIND, sound_beams
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
@@ -195,6 +196,7 @@ def fit_ranges_into(
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, found._together(exported_summary), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
+    folder.write(PEOPLE_FILE, partial(write_people_table, found.people_rows()))
     folder.write(PROFILE_FILE, partial(write_csv, found.profile(), index=False))
     counts = {"n_record": found.n_record, "n_fitted": found.n_fitted, "flags": found.flags, "words": found.words}
     folder.finish({**run, **counts})

@@ -16,6 +16,8 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.groups import GROUPS
+from bayes_rs.fits.headline import Headline, headline_of_ranges
+from bayes_rs.fits.people_table import PeopleRows
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
@@ -377,27 +379,63 @@ class RangedFit(Fit):
         """Say whether there is a group of that name; they are of each range."""
         return False
 
+    def headline(self) -> Headline:
+        """Return what was found, what the data decided of it and what is doubtful: of the profile, in three lines.
+
+        Returns
+        -------
+        headline : Headline
+            As of `Fit.headline`; turbulence intensity at the first and at the last range, from `profile`.
+        """
+        table = self.profile() if self.n_fitted else pd.DataFrame()
+        return headline_of_ranges(self.run, self.fits, self.range_names, table)
+
+    def people_rows(self) -> list[PeopleRows]:
+        """Return where the rows of the table for people come from, range after range."""
+        heights = self.heights
+        return [
+            PeopleRows(
+                own,
+                own.records,
+                {
+                    "range_m": float(self.ranges[place]),
+                    **({} if heights is None else {"height_m": float(heights[place])}),
+                },
+            )
+            for place, own in self.fits.items()
+        ]
+
+    def profile_lines(self) -> list[str]:
+        """Return the profile as a table of text, a line for each range that has a fit."""
+        if not self.n_fitted:
+            return []
+        what = "range" if self.heights is None else "height"
+        lines = [f"{what:>9}  {'records':>9}  {'TI':<22}" + "".join(f"{name:>6}" for name in STRESSES)]
+        table = self.profile()
+        marked = False
+        for place, own in self.fits.items():
+            rows = table[table["range"] == float(self.ranges[place])].set_index("quantity")
+            intensity = rows.loc["ti"]
+            said = f"{_marked(intensity, 3)} ({intensity['low']:.3f} to {intensity['high']:.3f})"
+            name = self.range_names[place].partition(" ")[2]
+            cells = "".join(f"{_marked(rows.loc[stress], 2):>6}" for stress in STRESSES)
+            lines.append(f"{name:>9}  {f'{own.n_fitted} of {own.n_record}':>9}  {said:<22}{cells}")
+            marked = marked or bool(is_priors(rows["decided"].to_numpy()).any())
+        prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
+        lines.append(f"TI with {prob:g} % interval, and stresses, m² s⁻² ({of})")
+        return [*lines, *(["*: more the prior's than the data's"] if marked else [])]
+
     @property
     def words(self) -> list[str]:
-        """What was found, a line for each range, after what the scan sees and which prior it was."""
+        """What the scan sees and which prior it was, and the profile, a line for each range."""
         fits = list(self.fits.values())
         if not fits:
             return ["no range has a record that can be fitted"]
-        lines = [f"scan {self.run['scan']}: {fits[0].run['sight']}", f"prior {fits[0].run['prior']}"]
-        table = self.profile()
-        names = self._of_ranges.names()
-        for place in self.fits:
-            rows = table[table["range"] == float(self.ranges[place])].to_dict("records")
-            said = ", ".join(f"{row['quantity']} {_interval(row)}" for row in rows)
-            fitted = self.fits[place]
-            lines.append(f"{names[place]}, {fitted.n_fitted} of {fitted.n_record} records: {said}")
-        prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
-        lines.append(
-            f"turbulence intensity and stresses, m² s⁻², with {prob:g} % intervals ({of}); *: more the prior's than "
-            "the data's"
-        )
+        names = self.range_names
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
-        return [*lines, *([f"without a record that can be fitted: {', '.join(lost)}"] if lost else [])]
+        lines = [f"scan {self.run['scan']}: {fits[0].run['sight']}", f"prior {fits[0].run['prior']}"]
+        lines += [f"without a record that can be fitted: {', '.join(lost)}"] if lost else []
+        return [*lines, *self.profile_lines()]
 
     @property
     def failures(self) -> list[str]:
@@ -411,7 +449,7 @@ class RangedFit(Fit):
 
     def _lines(self, lines: Callable[[Fit], Sequence[str]]) -> list[str]:
         where: dict[str, list[str]] = {}
-        names = self._of_ranges.names()
+        names = self.range_names
         for place, own in self.fits.items():
             for line in lines(own):
                 where.setdefault(line, []).append(names[place])
@@ -460,6 +498,6 @@ def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
     return pd.concat([table, intensity.assign(stress="ti")], ignore_index=True)
 
 
-def _interval(row: Mapping[Any, Any]) -> str:
-    mark = "*" if is_priors(row["decided"]) else ""
-    return f"{row['estimate']:.3g}{mark} ({row['low']:.3g} to {row['high']:.3g})"
+def _marked(row: Mapping[Any, Any], digits: int) -> str:
+    """Write an estimate, with a star where it is more the prior's than the data's."""
+    return f"{row['estimate']:.{digits}f}{'*' if is_priors(row['decided']) else ' '}"
