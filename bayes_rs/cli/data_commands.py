@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
 from bayes_rs.cli.voice import answer, tell
@@ -26,7 +27,7 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
     from bayes_rs.cli.demo_job import demo_widths, run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
-        tell(line, wrap=False)
+        tell(line, wrap="  " not in line)
     answer({"folder": output, "unit": "m2 s-2", "width_90": demo_widths(output)})
 
 
@@ -41,15 +42,19 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
     help="Name of the turbine or lidar, which is kept with its records: `fit` takes those of many together.",
 )
 def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str | None, **options: Any) -> None:
-    """Make records, one variance per beam and averaging period, from files of radial velocities."""
+    """Make records, one variance per beam and averaging period, from files of radial velocities.
+
+    A file - is the standard input: a table of text.
+    """
     from bayes_rs.output import output_file, write_netcdf
+    from bayes_rs.readers.standard_input import with_standard_input
     from bayes_rs.records.layout import check_turbine, with_turbine
 
     if turbine is not None:
         check_turbine(turbine)
     settings = settings_of(files, options)
-    with output_file(output, overwrite=overwrite) as part:
-        made, _ = records_and_scan(settings)
+    with output_file(output, overwrite=overwrite) as part, with_standard_input(settings.files.files) as named:
+        made, _ = records_and_scan(settings.changed(files=tuple(named)))
         write_netcdf(made if turbine is None else with_turbine(made, turbine), part)
     ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
     tell(f"{made.sizes['record']} records{ranges} in {output}")
@@ -58,7 +63,7 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str 
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("scan")
+@click.argument("scan", type=ScanName())
 @settings_options(
     "scan",
     "records",
@@ -93,7 +98,7 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("scan")
+@click.argument("scan", type=ScanName())
 @settings_options(
     "scan",
     "records",

@@ -86,8 +86,10 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield ""
     yield "truth: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STRESSES, stresses, strict=True))
     yield ""
-    yield "Fifty beams at one opening angle tell no more of vv and ww than the prior does: see how the posterior"
-    yield "fills the prior's outline. One beam along the axis helps little at 15°; a wide angle helps most."
+    yield (
+        "Fifty beams at one opening angle tell no more of vv and ww than the prior does: see how the posterior fills "
+        "the prior's outline. One beam along the axis helps little at 15°; a wide angle helps most."
+    )
     yield f"Pictures and files: {output}"
 
 

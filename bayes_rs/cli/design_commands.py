@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.options import GroupedCommand, Quantity, class_options
 from bayes_rs.cli.voice import answer, tell
 from bayes_rs.design.compare_options import CompareOptions
@@ -20,7 +21,7 @@ _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder 
 
 
 @click.command(name="compare", cls=GroupedCommand)
-@click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
+@click.argument("scans", nargs=-1, required=True, metavar="SCAN...", type=ScanName())
 @class_options((CompareOptions, "Comparison"))
 @_output
 @_overwrite
@@ -40,7 +41,7 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
 
     _, words = run_compare(scans, output, options=given, overwrite=overwrite)
     for line in words:
-        tell(line, wrap=False)
+        tell(line, wrap="  " not in line)
     tell(f"table, figure and JSON in {output}")
     answer({"folder": str(output), **json.loads((output / "comparison.json").read_text(encoding="utf-8"))})
 
@@ -77,7 +78,7 @@ def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, o
 
     _, words = run_optimize(n_beams, output, options=options, n_starts=n_starts, seed=seed, overwrite=overwrite)
     for line in words:
-        tell(line, wrap=False)
+        tell(line, wrap="  " not in line)
     tell(f"scan, numbers and picture in {output}")
     answer({"folder": str(output), **json.loads((output / "optimum.json").read_text(encoding="utf-8"))})
 

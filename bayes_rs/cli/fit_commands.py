@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> None:
     """Estimate the Reynolds stresses of every record, with credible intervals.
 
-    FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote. In place of
+    FILES are radial velocities (files, folders or patterns; - is a table of text on the standard input), or records
+    that `bayes-rs records` wrote. In place of
     them, or before them, a settings file, or the run.json of an earlier run, which is repeated: options and files on
     the command line count before what it says.
     """

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.next_command import command_line, files_words, reading_words
 from bayes_rs.cli.options import GroupedCommand, Quantity, settings_options
 from bayes_rs.cli.voice import answer, note, tell, terminal_width
@@ -24,7 +25,7 @@ _overwrite = click.option("--overwrite", is_flag=True, help="Replace an existing
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, type=ScanName())
 @_output
 @_overwrite
 def scans(name: str | None, output: Path | None, overwrite: bool) -> None:
@@ -226,14 +227,17 @@ def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options
     Format and the options that it assumes, beams or directions with their samples, gates, sampling, gaps, what is
     missing, and what the sign says; of a table its headings with what they seem to be; of a cone the mean velocity
     over the phase with the phase zeros that there may be. Of many files twenty are read, of a long table the first
-    200 000 rows.
+    200 000 rows. A file - is the standard input: a table of text.
     """
     from bayes_rs.cli.options import settings_of
     from bayes_rs.output import output_file
     from bayes_rs.readers.looking import look as look_at
+    from bayes_rs.readers.standard_input import with_standard_input
 
     given = settings_of((), options).files.of_reading()
-    found = look_at(list(files), **{name: value for name, value in given.items() if name != "on_bad_file"})
+    with with_standard_input(files) as named:
+        found = look_at(named, **{name: value for name, value in given.items() if name != "on_bad_file"})
+    words = dict(zip(named, files, strict=True))  # what to type next has the names that were given
     if output is not None:
         with output_file(output, overwrite=overwrite) as part:
             from bayes_rs.plot.look_plot import draw_look
@@ -245,6 +249,6 @@ def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options
         tell(f"picture in {output}")
     where = {name: value for name, value in options.items() if name in ("range", "height")}
     reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
-    following = command_line("bayes-rs", *found.words[:-2], *reading, *found.words[-2:])
-    tell(f"next: {following}", wrap=False)
-    answer({"lines": list(found.lines), "next": following})
+    following = [words.get(word, word) for word in ("bayes-rs", *found.words[:-2], *reading, *found.words[-2:])]
+    tell(f"next: {command_line(*following)}", wrap=False)
+    answer({"lines": list(found.lines), "next": command_line(*following)})

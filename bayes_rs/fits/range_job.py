@@ -29,6 +29,7 @@ from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv
 from bayes_rs.processor import one_thread
+from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
 from bayes_rs.records.ranges import split_ranges
 from bayes_rs.result_folder import ResultFolder
@@ -185,9 +186,12 @@ def fit_ranges_into(
         left.append(_Inner(folder.path / name, words, parts, part))
     if client is None and 1 < workers <= len(left):  # a range each: nothing waits for the noise of another
         shared = _Shared(replace(job, records=xr.Dataset()), progress=False)
-        for lines in done_parts(_fit_inner, shared, left, workers, None):
-            for line in lines:
-                say(line)
+        silent = None if progress is None else not progress
+        with progress_counter(len(left), "fitting", " ranges", disable=silent) as bar:
+            for lines in done_parts(_fit_inner, shared, left, workers, None):
+                for line in lines:
+                    say(line)
+                bar.update(1)
     else:
         for one in left:
             _fit_inner(_Shared(job, progress, workers, client, say), one)

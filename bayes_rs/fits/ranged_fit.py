@@ -410,19 +410,18 @@ class RangedFit(Fit):
         if not self.n_fitted:
             return []
         what = "range" if self.heights is None else "height"
-        lines = [f"{what:>9}  {'records':>9}  {'TI':<22}" + "".join(f"{name:>6}" for name in STRESSES)]
+        lines = [f"{what:>7}{'records':>8}  {'TI':<20}" + "".join(f"{name:>6} " for name in STRESSES).rstrip()]
         table = self.profile()
-        marked = False
         for place, own in self.fits.items():
-            rows = table[table["range"] == float(self.ranges[place])].set_index("quantity")
-            intensity = rows.loc["ti"]
-            said = f"{_marked(intensity, 3)} ({intensity['low']:.3f} to {intensity['high']:.3f})"
+            here = table[table["range"] == float(self.ranges[place])]
+            rows = {str(row["quantity"]): row for row in here.to_dict("records")}
+            said = f"{_marked(rows['ti'], 3)} ({rows['ti']['low']:.3f}–{rows['ti']['high']:.3f})"
             name = self.range_names[place].partition(" ")[2]
-            cells = "".join(f"{_marked(rows.loc[stress], 2):>6}" for stress in STRESSES)
-            lines.append(f"{name:>9}  {f'{own.n_fitted} of {own.n_record}':>9}  {said:<22}{cells}")
-            marked = marked or bool(is_priors(rows["decided"].to_numpy()).any())
+            cells = "".join(f"{_marked(rows[stress], 2):>7}" for stress in STRESSES)
+            lines.append(f"{name:>7}{own.n_fitted:>8}  {said:<20}{cells}".rstrip())
         prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
         lines.append(f"TI with {prob:g} % interval, and stresses, m² s⁻² ({of})")
+        marked = is_priors(table["decided"].to_numpy(dtype=np.float64)).any()
         return [*lines, *(["*: more the prior's than the data's"] if marked else [])]
 
     @property

@@ -49,7 +49,7 @@ def scan_lines(scan: Scan, width: int = WIDTH) -> list[str]:
         ("files", ", ".join(f"{key} = {value}" for key, value in scan.file_format.items()) or "no options of reading"),
         ("source", scan.source or "not given"),
     ]
-    lines = [f"{scan.name}: {scan.title or 'a scan'}", ""]
+    lines = [*textwrap.wrap(f"{scan.name}: {scan.title or 'a scan'}", width), ""]
     for what, words in facts:
         lines += textwrap.wrap(words, width, initial_indent=f"{what:<10}", subsequent_indent=" " * 10)
     return [*lines, "", *beam_table(scan)]
