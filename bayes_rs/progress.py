@@ -28,10 +28,12 @@ class Counter:
     ----------
     bar : tqdm
         What is shown.
+    initial : int
+        How many were done before.
     """
 
-    def __init__(self, bar: Any) -> None:
-        self._bar = bar
+    def __init__(self, bar: Any, initial: int = 0) -> None:
+        self._bar, self._initial = bar, initial
         self._finished = self._noted = 0
         self.shown = not bar.disable
 
@@ -48,8 +50,7 @@ class Counter:
     def _show(self) -> None:
         # what is noted is finished later; a part that is done again, because its worker died, is noted twice
         count = max(self._finished, self._noted)
-        room = count if self._bar.total is None else self._bar.total - self._bar.initial
-        self._bar.update(max(min(count, room) + self._bar.initial - self._bar.n, 0))
+        self._bar.update(max(min(self._initial + count, self._bar.total) - self._bar.n, 0))
 
 
 def note_done(n: int) -> None:
@@ -176,7 +177,7 @@ def progress_counter(
         file=sys.stderr,
         leave=False,
     ) as bar:
-        counter = Counter(bar)
+        counter = Counter(bar, initial)
         before = _counting.set(counter)
         try:
             yield counter

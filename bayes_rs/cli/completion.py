@@ -48,7 +48,7 @@ def complete_column(ctx: click.Context, param: click.Parameter, incomplete: str)
     ours, equals, theirs = incomplete.partition("=")
     if not equals:
         return [CompletionItem(f"{name}=") for name in FileOptions.names if name.startswith(ours)]
-    files = ctx.params.get("files") or ()
+    files = [*(ctx.params.get("files") or ()), *ctx.args]  # the latter where the option still lacks its value
     headings = _headings(Path(files[0])) if files else []
     return [CompletionItem(f"{ours}={heading}") for heading in headings if heading.startswith(theirs)]
 

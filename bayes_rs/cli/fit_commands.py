@@ -184,7 +184,7 @@ def sensitivity(
             scan,
             noise=settings.noise.noise,
             factors=factors,
-            say=note_detail,
+            say=note,
             progress=False if voice().quiet else None,
             turbulence=settings.noise.turbulence,
             **{name: getattr(own, name) for name in own.__dataclass_fields__ if name != "draws"},

@@ -187,8 +187,8 @@ def _decided_at(shares: FloatArray) -> str:
     always = [name for name, number in zip(STRESSES, count, strict=True) if number == total]
     never = [name for name, number in zip(STRESSES, count, strict=True) if number == 0]
     some = [f"{name} at {number}" for name, number in zip(STRESSES, count, strict=True) if 0 < number < total]
-    parts = [f"the beams measured {_listed(always)} at all ranges"] if always else []
-    parts += [f"the beams measured {', '.join(some)} of {total} ranges"]
+    measured = [f"{_listed(always)} at all ranges"] if always else []
+    parts = [f"the beams measured {', '.join([*measured, *some])} of {total}"]
     parts += [f"{_listed(never)} {'is' if len(never) == 1 else 'are'} mostly the prior's at all"] if never else []
     return "; ".join(parts)
 
