@@ -15,6 +15,8 @@ from tqdm import tqdm
 
 _Item = TypeVar("_Item")
 _counting: ContextVar[Counter | None] = ContextVar("counting", default=None)
+hushed: ContextVar[bool] = ContextVar("hushed", default=False)
+"""Whether no bar is shown where nobody says that one is."""
 _tally: str | None = None
 """In a worker process: the file that it notes in what is done."""
 _WORKER_LOOKS = 0.3
@@ -187,4 +189,4 @@ def progress_counter(
 
 def _no_terminal() -> bool:
     """Say whether nobody looks at stderr, which is None where a program was started without one."""
-    return sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()
+    return hushed.get() or sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()

@@ -58,6 +58,23 @@ class TestOptions:
         assert done.exit_code == 2
         assert f"--quiet and {other} ask for opposite things." in done.stderr
 
+    def test_quiet_shows_no_bar_and_ends_with_the_command(self, monkeypatch):
+        @click.command()
+        def counted():
+            with progress.progress_counter(1, "fitting", " records") as counter:
+                shown.append(counter.shown)
+
+        class Terminal(io.StringIO):
+            def isatty(self):
+                return True
+
+        shown = []
+        monkeypatch.setattr(type(commands), "get_command", lambda *_: voice.voice_options(counted))
+        monkeypatch.setattr(sys, "stderr", Terminal())
+        for words in (["scans"], ["-q", "scans"], ["scans", "-q"], ["scans"]):
+            commands.main(words, standalone_mode=False)
+        assert shown == [True, False, False, True]
+
     def test_errors_are_said_when_quiet(self):
         done = run("-q", "scans", "no-such-scan")
         assert "No preset 'no-such-scan'" in str(done.exception)

@@ -15,6 +15,8 @@ from bayes_rs.cli.voice import answer, tell
 if TYPE_CHECKING:
     from bayes_rs.noise.noise import Noise
 
+_UNDER = 7
+"""Columns by which the second line of a reason stands under its first."""
 _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_deg")}
 
 
@@ -93,7 +95,7 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
         target_ess=settings.fit.target_ess,
     )
     for line in made.lines():
-        tell(line)
+        tell(line, indent=_UNDER if line.startswith(" ") else 2)
     answer({"title": made.title, "steps": [vars(step) for step in made.steps]})
 
 

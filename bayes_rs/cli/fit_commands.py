@@ -19,7 +19,7 @@ from bayes_rs.cli.options import (
 )
 from bayes_rs.cli.range_options import fit_at_range, range_options
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
-from bayes_rs.cli.voice import answer, detail, note, note_detail, tell, tell_rows, voice
+from bayes_rs.cli.voice import answer, detail, note, note_detail, tell, tell_rows
 from bayes_rs.fits.settings import AUTO
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
         if Path(save_settings).exists():
             raise click.UsageError(f"File {save_settings!r} exists, and --save-settings replaces none: give another.")
         settings.save(save_settings)
-    found = fit_files(settings, progress=False if voice().quiet else None, say=note_detail)
+    found = fit_files(settings, say=note_detail)
     draw_pictures(found, Path(output))
     _tell(found, output)
 
@@ -185,7 +185,6 @@ def sensitivity(
             noise=settings.noise.noise,
             factors=factors,
             say=note,
-            progress=False if voice().quiet else None,
             turbulence=settings.noise.turbulence,
             **{name: getattr(own, name) for name in own.__dataclass_fields__ if name != "draws"},
         )

@@ -44,6 +44,11 @@ def _set(context: click.Context, parameter: click.Parameter, value: Any) -> None
         return
     own = voice()
     setattr(own, str(parameter.name), value)
+    if parameter.name == "quiet":
+        from bayes_rs.progress import hushed
+
+        before = hushed.set(True)
+        context.find_root().call_on_close(lambda: hushed.reset(before))
     if own.quiet and (own.verbose or own.json):
         raise click.UsageError(f"--quiet and --{'verbose' if own.verbose else 'json'} ask for opposite things.")
 
