@@ -189,7 +189,7 @@ class TestFit:
         assert 0.1 < spread < 0.5
 
     def test_noise_of_the_records_is_what_they_tell(self, file, tmp_path):
-        done = run("fit", file, *ANGLE, "--instrument-noise", "records", "-o", tmp_path / "out")
+        done = run("fit", file, *ANGLE, "--instrument-noise", "records", "-v", "-o", tmp_path / "out")
         assert done.exit_code == 0, done.output
         assert "instrument noise" in done.output
 
