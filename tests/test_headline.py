@@ -95,7 +95,8 @@ class TestHeadline:
         fits = {
             place: SimpleNamespace(
                 flag=np.array([0, FLAGS["unsteady"] * (place == 2)]),
-                run={"doubts": []},
+                run={"doubts": [], "campaign": {"on": False}},
+                n_record=2,
                 n_fitted=2,
                 fitted=np.array([True, True]),
                 records={"wind_speed": SimpleNamespace(values=np.array([8.0, 10.0]))},

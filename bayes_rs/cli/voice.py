@@ -12,7 +12,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TextIO, TypeVar
 
@@ -166,6 +166,3 @@ def _wrapped(words: str, stream: TextIO | None, *, indent: int = 2) -> str:
         replace_whitespace=False,
         drop_whitespace=True,
     )
-
-
-Say = Callable[[str], None]
