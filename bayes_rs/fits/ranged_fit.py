@@ -433,8 +433,8 @@ class RangedFit(Fit):
         names = self.range_names
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
         lines = [f"scan {self.run['scan']}: {fits[0].run['sight']}", f"prior {fits[0].run['prior']}"]
-        lines += [f"without a record that can be fitted: {', '.join(lost)}"] if lost else []
-        return [*lines, *self.profile_lines()]
+        lines += self.profile_lines()
+        return [*lines, *([f"without a record that can be fitted: {', '.join(lost)}"] if lost else [])]
 
     @property
     def failures(self) -> list[str]:
