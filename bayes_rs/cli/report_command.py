@@ -8,6 +8,7 @@ import click
 
 from bayes_rs.cli.options import Quantity
 from bayes_rs.cli.range_options import fit_at_range, range_options
+from bayes_rs.cli.voice import answer, tell
 
 
 @click.command()
@@ -39,4 +40,6 @@ def report(
     from bayes_rs.report.writing import write_report
 
     found = fit_at_range(folder, distance, height)
-    click.echo(str(write_report(found, output, title=title, prob=prob, overwrite=overwrite)))
+    page = str(write_report(found, output, title=title, prob=prob, overwrite=overwrite))
+    tell(page, wrap=False)
+    answer({"file": page})
