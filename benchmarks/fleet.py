@@ -62,6 +62,7 @@ def main() -> None:
     for count in arguments.records or [10_000, 100_000]:
         with ExitStack() as stack:
             place = arguments.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            place.mkdir(parents=True, exist_ok=True)
             files = write_ranges(place, count, arguments.ranges) if arguments.ranges else write_fleet(place, count)
             crew = ["--workers", str(arguments.workers)]
             if arguments.dask:

@@ -23,7 +23,7 @@ from bayes_rs.theory.sonic_theory import SonicMoments
 WIND_SPEED, SEED, N_FIELD = 10.0, 2022, 100
 DURATIONS = (1800.0, 600.0)
 MOST_BEAMS = 400
-"""Scans with more beams have no standard deviations here, and in the boxes no posterior: all pairs take too long."""
+"""Scans with more beams have no standard deviations here, where all pairs are calculated: that takes too long."""
 SIMULATED = ("2-beam", "4-beam", "5-beam", "6-beam", "50-beam")
 TABLE_1 = pd.DataFrame(
     {

@@ -349,7 +349,7 @@ class TestTheRoad:
                     ),
                 )
             elif stop == "after all of it":
-                patch.setattr("bayes_rs.fits.fit_folder._write_exports", fail)
+                patch.setattr("bayes_rs.fits.fit_writing._write_exports", fail)
             else:
                 patch.setattr(*names[stop], fail)
             with pytest.raises(KeyboardInterrupt):

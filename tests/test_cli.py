@@ -429,7 +429,7 @@ class TestLongFit:
         def full(*_args, **_options):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("bayes_rs.fits.fit_folder.write_table", full)
+        monkeypatch.setattr("bayes_rs.fits.fit_writing.write_table", full)
         code, out, err = long_fit("--draws", "none")
         assert (code, out) == (2, "")
         assert err[-2] == "bayes-rs: No space left on device: see to it where the output goes, and run it again."
@@ -440,7 +440,7 @@ class TestLongFit:
         def interrupt(*_args, **_options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("bayes_rs.fits.fit_folder.write_table", interrupt)
+        monkeypatch.setattr("bayes_rs.fits.fit_writing.write_table", interrupt)
         code, _, err = long_fit("--draws", "none")
         assert code == 130
         assert err[-2] == "bayes-rs: interrupted."
@@ -457,7 +457,7 @@ class TestLongFit:
 
     def test_many_records_keep_no_draws(self, long_fit, monkeypatch, tmp_path):
         monkeypatch.setattr("bayes_rs.fits.fit_options.MOST_KEPT", 1)
-        monkeypatch.setattr("bayes_rs.fits.fit_folder.MOST_CSV", 1)
+        monkeypatch.setattr("bayes_rs.fits.fit_writing.MOST_CSV", 1)
         assert long_fit()[0] == 0
         assert {file.name for file in (tmp_path / "out").iterdir()} == FILES - KEPT_DRAWS - {"summary.csv"}
 

@@ -111,8 +111,8 @@ class TestHeadline:
         names = ["range 80 m", "range 120 m", "range 160 m"]
         told = headline_of_ranges({}, fits, names, pd.DataFrame(rows, columns=columns))
         assert told.found == (
-            "TI 0.100 (0.090 to 0.120) at range 80 m to 2.100 (0.090 to 0.120) at range 160 m, 90 % interval, equal-tailed "
-            "(median record); wind 8.0 to 10.0 m/s; 4 of 4 records fitted at 2 of 3 ranges"
+            "TI 0.100 (0.090 to 0.120) at range 80 m to 2.100 (0.090 to 0.120) at range 160 m, 90 % interval, "
+            "equal-tailed (median record); wind 8.0 to 10.0 m/s; 4 of 4 records fitted at 2 of 3 ranges"
         )
         assert told.decided == (
             "the beams measured uu at all ranges, vv at 1 of 2; ww, uv, uw, vw are mostly the prior's at all"

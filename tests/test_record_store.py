@@ -119,7 +119,7 @@ class TestDamage:
             changed[place] ^= 4
             state.write_bytes(bytes(changed))
             said = []
-            assert record_store._load(open_result_folder(tmp_path / "kept"), said.append).files == {}
+            assert record_store.load_state(open_result_folder(tmp_path / "kept"), said.append).files == {}
             assert "state.npz' was changed since it was written" in said[0]
 
     def test_while_the_files_are_read(self, files, store, monkeypatch):

@@ -8,8 +8,8 @@ import xarray as xr
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import STRESSES, InputError, fit, load_scan
+from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.flags import FLAGS, flag_words
-from bayes_rs.fits.plan import N_PRIOR_DRAW
 from bayes_rs.priors.ratio import WeakPrior
 
 

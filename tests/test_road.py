@@ -76,7 +76,7 @@ def check_same(one, other):
         assert (name in one) == (name in other)
         if name in one:
             xr.testing.assert_identical(one[name], other[name])
-    for name in ("n_record", "n_fitted", "flags", "words", "failures", "remarks", "record_names", "attrs", "has_draws"):
+    for name in ("n_record", "n_fitted", "flags", "words", "failures", "remarks", "attrs", "has_draws"):
         assert getattr(one, name) == getattr(other, name), name
     assert one.scan.key == other.scan.key
     run = {name: value for name, value in other.run.items() if name not in ONLY_IN_FOLDERS}

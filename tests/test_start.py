@@ -29,7 +29,9 @@ FIT = {
     "emcee",
     "loky",
     "bayes_rs.fits.batch",
-    "bayes_rs.fits.fit_folder",
+    "bayes_rs.fits.fit_writing",
+    "bayes_rs.likelihoods",
+    "bayes_rs.theory",
     "bayes_rs.posteriors.posterior",
     "bayes_rs.campaign",
     "bayes_rs.spectra",
@@ -87,7 +89,8 @@ def loaded(code, folder=None):
         ("import bayes_rs as brs; brs.make_records", {*SCIPY, *PICTURES, *FIT, *NEVER}),
         ("import bayes_rs as brs; brs.load_turbulence('fu-2022')", {*TABLES, *LATER, *PICTURES, *FIT, *NEVER}),
         ("import bayes_rs as brs; brs.fit", {"emcee", *LATER, *PICTURES, *NEVER}),
-        ("import bayes_rs as brs; brs.open_fit", {"emcee", *LATER, *PICTURES, *NEVER}),
+        ("import bayes_rs as brs; brs.open_fit", {"h5netcdf", *SCIPY, *PICTURES, *FIT, *NEVER}),
+        ("import bayes_rs as brs; brs.write_report", {"h5netcdf", *SCIPY, *PICTURES, *FIT, *NEVER}),
     ],
     ids=lambda value: value.rsplit(maxsplit=1)[-1] if isinstance(value, str) else "",
 )
@@ -112,9 +115,12 @@ def test_of_commands_without_files(words, not_there, scene):
     ("words", "not_there"),
     [
         ("look day.csv", {*PICTURES, *FIT, *NEVER}),
-        ("records day.csv --scan 2-beam -o made.nc --overwrite", {*PICTURES, *FIT - {"loky"}, *NEVER, "scipy.stats"}),
-        ("corner OUT -o corner.png --overwrite", {"emcee", *NEVER, "scipy.stats", "scipy.interpolate"}),
-        ("report OUT -o report.html --overwrite", {"emcee", *NEVER, "scipy.stats", "scipy.interpolate"}),
+        (
+            "records day.csv --scan 2-beam -o made.nc --overwrite",
+            {*PICTURES, *FIT - {"loky", "bayes_rs.theory"}, *NEVER, "scipy.stats"},
+        ),
+        ("corner OUT -o corner.png --overwrite", {*FIT, *NEVER, "scipy.stats", "scipy.interpolate"}),
+        ("report OUT -o report.html --overwrite", {*PICTURES, *FIT, *NEVER, "scipy.stats", "scipy.interpolate"}),
         ("fit day.csv --scan 2-beam -o OUT --overwrite --ess 100", NEVER),
     ],
 )

@@ -213,6 +213,15 @@ class TestRadialCovariance:
         np.testing.assert_allclose(found, ISOTROPIC_VARIANCE, rtol=1e-14)
 
 
+def test_tables_of_one_gamma_share_their_harmonics(monkeypatch):
+    """They reach differently far, and the harmonics are on the same wave numbers."""
+    made, harmonics = [], two_point._harmonics
+    monkeypatch.setattr(two_point, "_harmonics", lambda *of: made.append(of) or harmonics(*of))
+    tables = [two_point.covariance_table(2.71, np.array([[reach, 0.1, 0.1]]), tolerance=5e-3) for reach in (1.0, 500.0)]
+    assert tables[0].shape != tables[1].shape
+    assert len(made) == 1
+
+
 class TestErrors:
     def test_wrong_shape(self):
         with pytest.raises(

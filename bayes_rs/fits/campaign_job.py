@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import csv
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.record_choice import choose_records
@@ -19,6 +16,7 @@ from bayes_rs.campaign.sampling import MOST_RECORDS, sample_campaign
 from bayes_rs.campaign.table import campaign_table
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch, make_posterior
+from bayes_rs.fits.campaign_files import as_read
 from bayes_rs.fits.campaign_records import CampaignRecords
 from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
 from bayes_rs.fits.digest import digest
@@ -27,17 +25,10 @@ from bayes_rs.fits.parts import FAILED, Done, Part, Shared, batch_size, fit_part
 from bayes_rs.likelihoods.base import Likelihood
 from bayes_rs.likelihoods.joining import join_likelihoods
 from bayes_rs.noise.noise import Noise
-from bayes_rs.output import write_csv
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.campaign import CampaignPrior
 
-_TEXTS = ("quantity", "bin", "name", "interval")
-_NUMBERS = (
-    *("mean", "low", "high", "prob", "decided", "ess", "r_hat"),
-    *("prior_mean", "prior_low", "prior_high"),
-)
-"""Columns of the tables, by what they hold: one that is empty has a type, too."""
 SAMPLER = "direct"
 """How records are sampled under the learnt prior, which makes their posteriors compact."""
 
@@ -202,23 +193,3 @@ def join_batches(batches: Sequence[Batch]) -> Batch:
         else:
             joined[entry.name] = np.concatenate(values)
     return Batch(**joined)
-
-
-def as_csv(table: pd.DataFrame) -> bytes:
-    """Return a table as it is written."""
-    sink = io.BytesIO()
-    write_csv(table, sink, index=False)  # type: ignore[arg-type] # pandas writes to one as to a file
-    return sink.getvalue()
-
-
-def of_csv(content: bytes) -> pd.DataFrame:
-    """Return a table as it is read: every number as it was written."""
-    kinds = {**dict.fromkeys(_TEXTS, pa.string()), **dict.fromkeys(_NUMBERS, pa.float64()), "n_record": pa.int64()}
-    options = csv.ConvertOptions(column_types=kinds, null_values=[""], strings_can_be_null=False)
-    table: pd.DataFrame = csv.read_csv(pa.BufferReader(content), convert_options=options).to_pandas()
-    return table
-
-
-def as_read(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table as it will be read from its file."""
-    return of_csv(as_csv(table))

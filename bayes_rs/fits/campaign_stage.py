@@ -13,9 +13,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.fits.campaign_files import ABOUT_FILE, FILES, PRIOR_FILE, TABLE_FILES, as_csv
 from bayes_rs.fits.campaign_job import (
     CampaignDone,
-    as_csv,
     campaign_off,
     fit_under_campaign,
     job_of,
@@ -23,7 +23,7 @@ from bayes_rs.fits.campaign_job import (
     under_campaign,
 )
 from bayes_rs.fits.campaign_records import CampaignRecords, campaign_records
-from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
+from bayes_rs.fits.columns import SUMMARY
 from bayes_rs.fits.parts import Done, Part
 from bayes_rs.fits.plan import Plan
 from bayes_rs.fits.run_file import AboutCampaign
@@ -34,14 +34,6 @@ from bayes_rs.layouts import read_json
 from bayes_rs.priors.campaign import CampaignPrior, load_campaign_prior
 from bayes_rs.progress import progress_counter
 from bayes_rs.result_folder import ResultFolder
-
-TABLE_FILES = {TABLE: "campaign.csv", HYPER: "campaign-hyper.csv"}
-"""The files of the campaign's tables."""
-PRIOR_FILE = "campaign-prior.toml"
-"""The prior that a campaign has learnt."""
-ABOUT_FILE = "campaign.json"
-"""What there is to say of a campaign. It is written last."""
-FILES = (*TABLE_FILES.values(), PRIOR_FILE, ABOUT_FILE)
 
 
 @dataclass(frozen=True)

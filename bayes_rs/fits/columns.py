@@ -1,4 +1,4 @@
-"""Names of tables of a fit, and of the columns of its table ``posterior``."""
+"""Names of tables of a fit, of the columns of its table ``posterior``, and the rows of that of the prior."""
 
 from __future__ import annotations
 
@@ -25,3 +25,5 @@ PER_RECORD = (
 """Columns with one number a record; NaN where it was not fitted."""
 TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
 """Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""
+N_PRIOR_DRAW = 10_000
+"""Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""

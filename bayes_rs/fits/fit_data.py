@@ -16,7 +16,6 @@ from bayes_rs._validation import FloatArray, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import COVARIANCES, PAIRS
 from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
-from bayes_rs.fits.words import record_name
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.stated_time import stated_times
@@ -344,11 +343,6 @@ class FitData:
                 f"Record {index} was not fitted ({flag_words(int(self.flag[index]))}): choose another one."
             )
         return index
-
-    @property
-    def record_names(self) -> list[str]:
-        """What to call the records: their numbers, and their starts where these are known."""
-        return [record_name(number, time) for number, time in enumerate(self.time)]
 
     def _at(self, record: str) -> int:
         stamp = stated_times(pd.Series([record])).dt.tz_localize(None)[0]

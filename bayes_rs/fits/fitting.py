@@ -15,9 +15,10 @@ from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits.campaign_stage import Campaign, Crew, campaign_in_memory
 from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_data import MemoryTables
-from bayes_rs.fits.fit_folder import NOISE_FILE, fit_into, open_fit
+from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_options import NoiseOptions, split_options
+from bayes_rs.fits.fit_writing import NOISE_FILE, fit_into
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit, with_settings

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs.fits.batch import RecordDraws
 from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, PARETO_K_LIMIT, R_HAT_LIMIT
+
+if TYPE_CHECKING:
+    from bayes_rs.fits.batch import RecordDraws
 
 FLAGS: dict[str, int] = {
     "no_usable_beam": 1,

@@ -13,8 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from bayes_rs.errors import InputError
-from bayes_rs.fits import campaign_stage
-from bayes_rs.fits.campaign_job import of_csv
+from bayes_rs.fits.campaign_files import TABLE_FILES, of_csv
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, HYPER, PAIRS, PER_RECORD, SUMMARY, TABLE
 from bayes_rs.fits.flags import UNFITTED
 from bayes_rs.fits.run_file import RunOfFit
@@ -95,7 +94,7 @@ class FolderTables:
     def _names(self) -> dict[str, list[str]]:
         found = {dataset: part_names(self.folder, dataset) for dataset in DATASETS}
         here = self.folder.names()
-        found |= {dataset: [name] for dataset, name in campaign_stage.TABLE_FILES.items() if name in here}
+        found |= {dataset: [name] for dataset, name in TABLE_FILES.items() if name in here}
         return {dataset: names for dataset, names in found.items() if names}
 
     @cached_property

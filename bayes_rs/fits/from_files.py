@@ -13,8 +13,9 @@ from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import STANDARD_INPUT
 from bayes_rs.fits.digest import digest, digest_parts
-from bayes_rs.fits.fit_folder import fit_into, open_fit
+from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_writing import fit_into
 from bayes_rs.fits.fitting import noise_section
 from bayes_rs.fits.found_scan import with_found_scan
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale

@@ -12,7 +12,6 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import CORRELATED
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.flags import FLAGS
-from bayes_rs.fits.prepare import record_yaw_sd, used_beams
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.nuisance import UNITS
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE
@@ -64,6 +63,8 @@ def prior(fit: FitData) -> xr.Dataset:
 
 def observed_data(fit: FitData) -> xr.Dataset:
     """Return what the fit was of: variances, which of them were used, wind speed and direction."""
+    from bayes_rs.fits.prepare import record_yaw_sd, used_beams  # noqa: PLC0415 - what opens a fit prepares none
+
     records, own = fit.records, fit.settings["fit"]
     yaw_sd = record_yaw_sd(records, own["nuisances"])
     return xr.Dataset(

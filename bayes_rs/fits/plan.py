@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.fits.batch import Batch
+from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.direction_table import prior_covariances, scan_directions
 from bayes_rs.fits.fit_options import MOST_KEPT, FitOptions
@@ -40,8 +41,6 @@ PART_RECORDS = 128
 """Records of a part: what each worker loses at most when a run is interrupted."""
 LONG_FIT, LONG_PART = 20_000, 8
 """Records from which on parts are so many times as long: a million records are then a few thousand files."""
-N_PRIOR_DRAW = 10_000
-"""Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
 PRIOR_SEED = 0
 _COPIES_SAMPLED, _COPIES_KEPT, _SECONDS_A_DRAW = 12.0, 3.0, 1e-5
 _NUMBERS_FROM = ("numpy", "scipy", "emcee")

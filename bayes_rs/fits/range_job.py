@@ -14,9 +14,10 @@ import xarray as xr
 from bayes_rs.begin_folder import begin_inner_folder, inner_is_done
 from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest, digest_parts
-from bayes_rs.fits.fit_folder import MOST_CSV, fit_into, ranged_fit_in
+from bayes_rs.fits.fit_folder import ranged_fit_in
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+from bayes_rs.fits.fit_writing import MOST_CSV, fit_into
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.people_table import PEOPLE_FILE, write_people_table
 from bayes_rs.fits.plan import Plan, option_parts, plain_options, plan_fit, software, version_parts, with_settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -23,8 +23,9 @@ from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
-from bayes_rs.priors.campaign import CampaignPrior
-from bayes_rs.records.ranges import stack_ranges
+
+if TYPE_CHECKING:
+    from bayes_rs.priors.campaign import CampaignPrior
 
 _QUANTITIES = ("ti", *STRESSES)
 _COLUMNS = ("quantity", "estimate", "low", "high", "prob", "interval", "decided", "n_record", "of")
@@ -324,6 +325,8 @@ class RangedFit(Fit):
     @cached_property
     def records(self) -> xr.Dataset:
         """The records that were fitted, dims (range, record, beam); of the ranges that were."""
+        from bayes_rs.records.ranges import stack_ranges  # noqa: PLC0415 - not needed for the tables
+
         scan = self._of_ranges
         there = RangedScan.of(scan.of_one, scan.distance[list(self.fits)])
         return stack_ranges([own.records for own in self.fits.values()], there)

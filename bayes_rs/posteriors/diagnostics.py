@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
@@ -251,7 +251,7 @@ def _placed(values: FloatArray, order: NDArray[np.int64]) -> FloatArray:
 def _score_table(n: int) -> FloatArray:
     """Return the normal scores of the ranks 1, 1½, … n of n draws, shape (2 n − 1,)."""
     rank = 1.0 + 0.5 * np.arange(2 * n - 1)
-    return np.asarray(ndtri((rank - 0.375) / (n + 0.25)))
+    return np.asarray(scipy.special.ndtri((rank - 0.375) / (n + 0.25)))
 
 
 def _plain_r_hat(draws: FloatArray) -> FloatArray:

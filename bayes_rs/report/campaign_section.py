@@ -14,8 +14,6 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, campaign_words, share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.plot.campaign_plot import campaign as draw_campaign
-from bayes_rs.plot.campaign_plot import record_means
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.tables import folded, interval, lines, number, table
 
@@ -51,6 +49,11 @@ def campaign_shown(fit: Fit) -> CampaignShown | str:
     about = dict(fit.run["campaign"])
     if not fit.has_campaign:
         return str(about["why"])
+
+    # matplotlib is loaded where there is something to draw
+    from bayes_rs.plot.campaign_plot import campaign as draw_campaign  # noqa: PLC0415 - as above
+    from bayes_rs.plot.campaign_plot import record_means  # noqa: PLC0415 - as above
+
     sink = io.BytesIO()
     draw_campaign(fit).savefig(sink, format="png", dpi=100, metadata={"Software": None})
     return CampaignShown(

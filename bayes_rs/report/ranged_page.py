@@ -8,10 +8,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-import matplotlib as mpl
-
 from bayes_rs.fits.ranged_fit import RangedFit
-from bayes_rs.plot.profile_plot import profile
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.report import describe_report
 from bayes_rs.report.page import content_hash, fill, shipped
@@ -90,6 +87,11 @@ def _doubts(found: RangedFit) -> bool:
 
 def _picture(found: RangedFit) -> str:
     """Return the profile as a picture in the page."""
+    # matplotlib is loaded where there is something to draw
+    import matplotlib as mpl  # noqa: PLC0415 - as above
+
+    from bayes_rs.plot.profile_plot import profile  # noqa: PLC0415 - as above
+
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": _SALT, "svg.fonttype": "path"}):
         profile(found).savefig(buffer, format="svg", metadata={"Date": None})

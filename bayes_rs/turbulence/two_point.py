@@ -391,9 +391,7 @@ def _harmonic_covariances(
     gamma: float, x: FloatArray, distance: FloatArray, resolution: Resolution
 ) -> list[FloatArray]:
     """Return, for each component, the angular harmonics of the covariance, shape (n_harmonic, n_distance, n_along)."""
-    k1 = np.exp(_grid(resolution.log_k1, resolution.step))
-    kappa = np.exp(_grid(resolution.log_kappa, resolution.step))
-    harmonics = _harmonics(k1, kappa, gamma, resolution)
+    harmonics = _harmonics_of_tables(gamma, resolution)
     cosine, sine = _fourier_weights(x, resolution)
     parts = np.empty((len(STRESSES), resolution.n_harmonic, len(distance), len(x)))
     for m, hankel in enumerate(_hankel_weights(distance, resolution)):
@@ -401,6 +399,16 @@ def _harmonic_covariances(
         for index in range(len(STRESSES)):
             parts[index, m] = sign * 4.0 * np.pi * (hankel @ (along @ harmonics[index, m]).T)
     return list(parts)
+
+
+@lru_cache(maxsize=2)
+def _harmonics_of_tables(gamma: float, resolution: Resolution) -> FloatArray:
+    """Return the harmonics on the grid of wave numbers that all tables of one Γ have, whatever they reach."""
+    k1 = np.exp(_grid(resolution.log_k1, resolution.step))
+    kappa = np.exp(_grid(resolution.log_kappa, resolution.step))
+    harmonics = _harmonics(k1, kappa, gamma, resolution)
+    harmonics.flags.writeable = False
+    return harmonics
 
 
 def _harmonics(k1: FloatArray, kappa: FloatArray, gamma: float, resolution: Resolution) -> FloatArray:

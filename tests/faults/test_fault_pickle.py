@@ -98,6 +98,6 @@ def test_a_state_that_is_a_pickle_counts_as_none(tmp_path):
     np.savez(tmp_path / "records" / "state.npz", meta=np.array([Evil()], dtype=object))
     seal_folder(tmp_path)  # with a fingerprint that fits
     said = []
-    assert record_store._load(open_result_folder(tmp_path), said.append).files == {}
+    assert record_store.load_state(open_result_folder(tmp_path), said.append).files == {}
     assert "and all are read again: ValueError: Object arrays cannot be loaded" in said[0]
     assert not (tmp_path / "run").exists()
