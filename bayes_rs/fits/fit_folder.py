@@ -19,9 +19,12 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits import campaign_stage
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
+from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.folder_tables import DATASETS, FolderTables
+from bayes_rs.fits.groups import GROUPS, tree_of, with_places
+from bayes_rs.fits.log_likelihood import log_likelihood_of
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.plan import LAYOUT, N_PRIOR_DRAW, Plan
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
@@ -139,7 +142,7 @@ def fit_into(
         raise
     found = _fit_in(folder, run, checked, plan.scan, str(folder.path))
     try:
-        _write_exports(folder, found)
+        _write_exports(folder, found, plan)
         counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
     except (InputError, OSError):
         folder.check_whole()  # a part that went while the others were made is named as lost
@@ -261,6 +264,23 @@ class _InFolder:
             )
         return table.to_numpy(dtype=np.float64)
 
+    def has_log_likelihood(self) -> bool:
+        return self.folder.names(ARVIZ_FILE) == [ARVIZ_FILE]
+
+    def log_likelihood(self, fit: FitData) -> xr.Dataset:
+        file = self.folder.checked(ARVIZ_FILE)
+        found = load_netcdf(file, group="/log_likelihood")
+        sizes = {"chain": self.tables.run.n_chain, "draw": self.tables.run.n_draw, "record": fit.n_record}
+        known = {**sizes, "beam": len(self.tables.beams), "number": found.sizes.get("number", 0)}
+        for name, value in found.data_vars.items():
+            dims = (*sizes, *value.dims[3:])
+            if value.dims != dims or len(dims) > 4 or any(known.get(dim) != value.sizes[dim] for dim in dims):
+                raise InputError(
+                    f"The log-likelihood in {str(file)!r} cannot be used: {name!r} does not have a number for each draw "
+                    f"of the fit; {ADVICE}."
+                )
+        return found
+
     def campaign_prior(self) -> Prior | None:
         here = campaign_stage.PRIOR_FILE in self.folder.names()
         return load_campaign_prior(self.folder.checked(campaign_stage.PRIOR_FILE)) if here else None
@@ -309,10 +329,13 @@ def _means(fitted: Fit) -> FloatArray:
     return fitted.of_stresses("mean")["mean"]
 
 
-def _write_exports(folder: ResultFolder, found: Fit) -> None:
+def _write_exports(folder: ResultFolder, found: Fit, plan: Plan) -> None:
     """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, exported_summary(found), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
     if found.has_draws and found.n_record <= MOST_KEPT:
-        folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))
+        groups = {name: found[name] for name in GROUPS if name != "log_likelihood"}
+        if found.settings["fit"]["target"] != "sonic":
+            groups["log_likelihood"] = with_places(found, log_likelihood_of(plan.shared, plan.parts, found))
+        folder.write(ARVIZ_FILE, partial(write_netcdf, tree_of(groups, found.attrs)))
