@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,7 +84,7 @@ def fingerprint_of(content: bytes) -> Fingerprint:
 
 def fingerprint_of_file(file: Path, *, to_disk: bool = False) -> Fingerprint:
     """Return the fingerprint of a file; with `to_disk` its bytes are on the disk when this returns."""
-    with file.open("rb") as opened:
+    with file.open("r+b" if to_disk and sys.platform == "win32" else "rb") as opened:  # which flushes what it may write
         digest = hashlib.file_digest(opened, "sha256").hexdigest()
         if to_disk:
             os.fsync(opened.fileno())  # a power cut leaves no file that has its name and not its bytes

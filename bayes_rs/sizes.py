@@ -5,10 +5,12 @@ Sizes are estimated by simple formulas beside the work, and need not be right to
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from bayes_rs.errors import InputError
 
@@ -83,11 +85,12 @@ def check_work(what: str, seconds: float, advice: str) -> None:
 
 def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
+    if sys.platform == "win32":
+        return _of_windows()
     free = [_of_machine(), *(_of_group(file) for file in _limits())]
-    if sys.platform != "win32":
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if limit != resource.RLIM_INFINITY:
-            free.append(max(float(limit) - _own("VmSize"), 0.0))
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        free.append(max(float(limit) - _own("VmSize"), 0.0))
     return min(free)
 
 
@@ -131,6 +134,24 @@ def _of_machine() -> float:
     with suppress(OSError, ValueError):
         return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
     return float("inf")
+
+
+def _of_windows() -> float:
+    """Return the bytes of memory that Windows says are free; infinite if it does not say."""
+    status = _WindowsMemory(size=ctypes.sizeof(_WindowsMemory))
+    kernel: Any = getattr(ctypes, "windll", None)
+    told = kernel is not None and kernel.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+    return float(status.free) if told else float("inf")
+
+
+class _WindowsMemory(ctypes.Structure):
+    """What GlobalMemoryStatusEx fills in (MEMORYSTATUSEX), bytes."""
+
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("used_percent", ctypes.c_uint32),
+        *((name, ctypes.c_uint64) for name in ("all", "free", "page_all", "page_free", "own_all", "own_free", "more")),
+    ]
 
 
 def _limits() -> list[Path]:

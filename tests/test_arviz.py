@@ -236,7 +236,7 @@ class TestInArviz:
             assert pointwise(loo)[beam] == pytest.approx(np.log(density.mean()), abs=4.0 * error)
 
     def test_loo_tells_the_noise_that_is_from_one_a_ninth_of_it(self, arviz):
-        """Twelve records, each beam predicted by its others: noise taken for a third of its size is too sure of them."""
+        """Twelve records, each beam predicted by its others: noise taken for a third is too sure of them."""
         records = some_records(12, 9)
         total = []
         for factor in (1.0, 1.0 / 9.0):

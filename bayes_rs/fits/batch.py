@@ -194,7 +194,7 @@ def posteriors(batch: Batch, noise: Noise, options: FitOptions) -> list[tuple[ND
 def _reduced_beforehand(batch: Batch, noise: Noise, options: FitOptions) -> NDArray[np.bool_]:
     """Return which records, those of a scan of many beams that use them all, have their noise reduced beforehand."""
     can = options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise)
-    return batch.used.all(axis=1) if can else np.zeros(len(batch), dtype=np.bool_)
+    return np.asarray(batch.used.all(axis=1)) if can else np.zeros(len(batch), dtype=np.bool_)
 
 
 def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = slice(None)) -> RecordDraws:

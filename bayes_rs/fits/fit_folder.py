@@ -273,11 +273,11 @@ class _InFolder:
         sizes = {"chain": self.tables.run.n_chain, "draw": self.tables.run.n_draw, "record": fit.n_record}
         known = {**sizes, "beam": len(self.tables.beams), "number": found.sizes.get("number", 0)}
         for name, value in found.data_vars.items():
-            dims = (*sizes, *value.dims[3:])
+            dims = (*sizes, *map(str, value.dims[3:]))
             if value.dims != dims or len(dims) > 4 or any(known.get(dim) != value.sizes[dim] for dim in dims):
                 raise InputError(
-                    f"The log-likelihood in {str(file)!r} cannot be used: {name!r} does not have a number for each draw "
-                    f"of the fit; {ADVICE}."
+                    f"The log-likelihood in {str(file)!r} cannot be used: {name!r} does not have a number for each "
+                    f"draw of the fit; {ADVICE}."
                 )
         return found
 

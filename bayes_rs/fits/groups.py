@@ -124,8 +124,8 @@ def log_likelihood(fit: FitData) -> xr.Dataset:
     """
     if not has_log_likelihood(fit):
         raise InputError(
-            "This fit has no log_likelihood: it is that of R, whose draws are not kept for the target 'sonic', and in a "
-            f"folder it is there for up to {MOST_KEPT} records whose draws are kept."
+            "This fit has no log_likelihood: it is that of R, whose draws are not kept for the target 'sonic', and in "
+            f"a folder it is there for up to {MOST_KEPT} records whose draws are kept."
         )
     found: xr.Dataset = fit.loaded.log_likelihood(fit)
     return with_places(fit, found)
@@ -192,7 +192,8 @@ def as_arviz_takes(tree: xr.DataTree) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ArviZ 0.23 announces its own refactoring when it is imported
         import arviz  # noqa: PLC0415 - it takes a second, and nothing else needs it
-    return arviz.InferenceData(attrs=tree.attrs, **{name: group.to_dataset() for name, group in tree.children.items()})
+    groups: dict[str, Any] = {name: group.to_dataset() for name, group in tree.children.items()}
+    return arviz.InferenceData(attrs=tree.attrs, **groups)
 
 
 def group_of(fit: FitData, name: str) -> xr.Dataset:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -52,7 +53,7 @@ def log_likelihood_of(shared: Shared, parts: Sequence[Part], fit: FitData) -> xr
             seen = _seen(posterior, stress[rows], {name: values[rows] for name, values in nuisances.items()})
             whole[rows] = posterior.likelihood.log_density(*seen).reshape(len(rows), *stress.shape[1:3])
             each.append((rows, log_conditional(posterior.likelihood, *seen, of_beams=of_beams)))
-    group = {"joint": (("chain", "draw", "record"), np.moveaxis(whole, 0, 2), {"long_name": _WHOLE})}
+    group: dict[str, Any] = {"joint": (("chain", "draw", "record"), np.moveaxis(whole, 0, 2), {"long_name": _WHOLE})}
     known = [(rows, values) for rows, values in each if values is not None]
     if known and len(known) == len(each):
         n_datum = len(shared.beam) if of_beams else max(values.shape[-1] for _, values in known)

@@ -97,7 +97,7 @@ def _log_density_of_others(
     root = part.whitening.swapaxes(-1, -2)  # of the precision of ln y, where it is as large as the data
     if not of_beams:
         # W = L⁻¹ Uᵀ with L lower triangular, so W^T = U L⁻ᵀ is a QR decomposition, and L⁻ᵀ a root of that of Uᵀ ln y
-        root = np.linalg.qr(root, mode="r")
+        root = np.asarray(np.linalg.qr(root, mode="r"))
     own = np.einsum("rns,rns->rn", root, root)  # P_ii
     there = own > np.finfo(np.float64).eps * own.max(axis=-1, keepdims=True)  # what is not there is zero to rounding
     own = np.where(there, own, 1.0)[:, None, :]

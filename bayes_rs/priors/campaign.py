@@ -225,7 +225,7 @@ class CampaignPrior(Prior):
             for field in fields(group)[:-1]:
                 value = getattr(group, field.name)
                 lines.append(f"{field.name} = {_rows(value.tolist())}")
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 @dataclass(frozen=True, eq=False)
