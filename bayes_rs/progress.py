@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,9 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 _Item = TypeVar("_Item")
+
+_PATIENCE = 0.5
+"""Seconds that a notebook goes without a bar: what is done by then needs none."""
 
 
 def progress(
@@ -26,7 +30,7 @@ def progress(
     description : str
         A few words in front of the bar.
     disable : bool, optional
-        True for no bar, False for a bar in any case; by default a bar only if stderr is a terminal.
+        True for no bar, False for a bar in any case; by default a bar only if stderr is a terminal, or a notebook's.
 
     Yields
     ------
@@ -38,8 +42,8 @@ def progress(
     >>> list(progress([1, 2, 3], 3, "counting", disable=True))
     [1, 2, 3]
     """
-    silent = _no_terminal() if disable is None else disable
-    yield from tqdm(iterable, total=total, desc=description, disable=silent, file=sys.stderr, leave=False)
+    with _bar(total, description, disable, iterable=iterable) as bar:
+        yield from bar
 
 
 @contextmanager
@@ -68,20 +72,29 @@ def progress_counter(
     bar
         Its ``update(n)`` says that n more are done.
     """
-    silent = _no_terminal() if disable is None else disable
-    with tqdm(
-        total=total,
-        initial=initial,
-        desc=description,
-        unit=unit,
-        unit_scale=scale,
-        disable=silent,
-        file=sys.stderr,
-        leave=False,
-    ) as bar:
+    with _bar(total, description, disable, unit=unit, initial=initial, unit_scale=scale) as bar:
         yield bar
 
 
-def _no_terminal() -> bool:
-    """Say whether nobody looks at stderr, which is None where a program was started without one."""
-    return sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()
+def _bar(total: int | None, description: str, disable: bool | None, **more: Any) -> Any:
+    """Return a bar: on stderr, in a notebook the one that it draws, if it has what that takes."""
+    options = {"total": total, "desc": description, "leave": False, "file": sys.stderr, **more}
+    if not _in_notebook():
+        nobody = sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()
+        return tqdm(disable=nobody if disable is None else disable, **options)
+    # tqdm.auto would warn where ipywidgets is missing; a line of text under the cell does there
+    kind = notebook_tqdm() if importlib.util.find_spec("ipywidgets") else tqdm
+    return kind(disable=bool(disable), delay=0.0 if disable is False else _PATIENCE, **options)
+
+
+def _in_notebook() -> bool:
+    """Say whether this is the kernel of a notebook, whose stderr is no terminal though somebody looks at it."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return "IPKernelApp" in getattr(shell, "config", ())
+
+
+def notebook_tqdm() -> Any:
+    """Return tqdm's bar of widgets."""
+    from tqdm.notebook import tqdm as of_widgets  # noqa: PLC0415 - of notebooks alone
+
+    return of_widgets

@@ -44,7 +44,7 @@ def as_on_windows():
 
     def moved(name):
         def move(source, target, **options):
-            if os.path.isdir(target) or in_use(source) or (os.path.exists(target) and in_use(target)):
+            if Path(target).is_dir() or in_use(source) or (Path(target).exists() and in_use(target)):
                 refuse(target)
             plain[name](source, target, **options)
 
@@ -101,9 +101,8 @@ class Windows:
 
 def main(place):
     """Fit, resume, replace and read again; print what the numbers are."""
-    import h5netcdf, loky, matplotlib, pandas, pyarrow.parquet, scipy.stats, xarray  # noqa: E401, F401, PLC0415
-    from matplotlib import pyplot  # noqa: F401, PLC0415
-
+    for name in ("h5netcdf", "loky", "matplotlib.pyplot", "pandas", "pyarrow.parquet", "scipy.stats", "xarray"):
+        importlib.import_module(name)
     as_on_windows()
     import scenes  # noqa: PLC0415
 

@@ -17,6 +17,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
 from bayes_rs.fits.direction_table import direction_medians, direction_rows
+from bayes_rs.fits.fit_card import fit_card, fit_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import (
@@ -61,10 +62,15 @@ class Fit(FitData):
     """
 
     def __repr__(self) -> str:
-        """Say in one line what it is."""
+        """Say in a few lines what it is, and what was found."""
         where = f", in {self.place!r}" if self.place else ""
         counts = f"{self.n_fitted} of {self.n_record} records"
-        return f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}>"
+        first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
+        return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with uu of the records."""
+        return fit_card(self)
 
     @property
     def attrs(self) -> dict[str, Any]:

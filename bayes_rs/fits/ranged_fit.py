@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_card import ranges_card
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.groups import group_names, has_group, tree_of
 from bayes_rs.fits.selection import Selection
@@ -107,6 +108,10 @@ class RangedFit(Fit):
         """Say in one line what it is."""
         where = f", in {self.place!r}" if self.place else ""
         return f"<RangedFit: {len(self.fits)} of {len(self.ranges)} ranges, scan {self.scan.name}{where}>"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with uu at each range."""
+        return ranges_card(self.profile() if self.fits else pd.DataFrame(), self.scan.name, self.range_names)
 
     @property
     def ranges(self) -> FloatArray:

@@ -47,7 +47,7 @@ class LearntGroup:
     n_record: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CampaignPrior(Prior):
     """The distribution that a campaign's records came from: normal in the coordinates of the prior it began with.
 
@@ -228,7 +228,7 @@ class CampaignPrior(Prior):
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RecordsPrior(Prior):
     """A normal prior of another prior's coordinates, with a mean and a covariance for each record.
 
