@@ -84,7 +84,8 @@ class MannTurbulence:
             *([("source", self.source)] if self.source else []),
         ]
         ratio = stress / stress[0]
-        picture = bars(ratio, np.minimum(ratio, 0.0), np.maximum(ratio, 0.0), STRESSES, "stresses over uu", (-0.5, 1.0))
+        low, high = np.minimum(ratio, 0.0), np.maximum(ratio, 0.0)
+        picture = bars(ratio, low, high, STRESSES, "stresses over uu", (-0.5, 1.0), priors=False)
         return card(f"Turbulence {self.name}", rows, picture)
 
     @property
