@@ -19,7 +19,7 @@ OTHER = "#d9730d"
 """Colour of negative correlations."""
 PRIORS = "#8a8a8a"
 """Grey of what is the prior's."""
-_MOST_POINTS = 100
+_MOST_POINTS = 80
 """Points of a drawing; of more every second, third … is drawn."""
 _MOST_CELLS = 12
 """Rows of a matrix that is drawn; of more, as many of them at equal steps."""

@@ -108,7 +108,7 @@ class TestHtml:
         values = np.linspace(1.0, 2.0, n)
         html = intervals(values, values - 1.0, values + 1.0, values > 1.5, [EVIL] * n, "uu", "m² s⁻²")
         assert len(html) < MOST + 100 * 60  # of the long name of each
-        assert len(some(n)) == 100
+        assert len(some(n)) == 80
         assert 'fill="url(#hatch-' in html
 
     def test_records_are_xarray_s(self, found):

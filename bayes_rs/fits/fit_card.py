@@ -82,6 +82,6 @@ def ranges_card(profile: pd.DataFrame, scan: str, names: list[str]) -> str:
         points = [f"range {at:g} m" for at in own["range"]]
         what = f"{quantity} by range ({of}); hatched: the prior's"
         unit = "m² s⁻²" if quantity == "uu" else "1"
-        ends = (own[name].to_numpy(dtype=np.float64) for name in ("estimate", "low", "high"))
-        picture = intervals(*ends, is_priors(own["decided"]), points, what, unit)
+        middle, low, high = (own[name].to_numpy(dtype=np.float64) for name in ("estimate", "low", "high"))
+        picture = intervals(middle, low, high, is_priors(own["decided"]), points, what, unit)
     return card(title, rows, picture)

@@ -63,9 +63,10 @@ class Prior(ABC):
             (name, f"median {middle[index]:.3g} m² s⁻², 90 % between {low[index]:.3g} and {high[index]:.3g}")
             for index, name in enumerate(STRESSES)
         ]
-        shape = np.quantile(draws[:, 1:] / draws[:, :1], [0.5, 0.05, 0.95], axis=0)
+        left, centre, right = np.quantile(draws[:, 1:] / draws[:, :1], [0.05, 0.5, 0.95], axis=0)
         names = [f"{name}/uu" for name in STRESSES[1:]]
-        return card(f"Prior {self.name}", rows, bars(*shape, names, "median and 90 % interval of ratios", (-1.0, 2.0)))
+        picture = bars(centre, left, right, names, "median and 90 % interval of ratios", (-1.0, 2.0))
+        return card(f"Prior {self.name}", rows, picture)
 
     def draw(self, n_draw: int, seed: int | np.random.Generator) -> FloatArray:
         """Draw stresses from the prior, shape (n_draw, 6), m² s⁻²."""
