@@ -165,7 +165,7 @@ def intervals(
             f'width="{wide:.1f}" height="{max(y_low - y_high, 1.0):.1f}" {fill}/>'
             f'<path d="M{x - 0.5 * wide:.1f} {y:.1f}h{wide:.1f}" stroke="{line}" stroke-width="2"/></g>'
         )
-    return _svg(300, 150, "".join(parts), f"{what}, {unit}")
+    return _svg(330, 150, "".join(parts), f"{what}, {unit}")
 
 
 def bars(
@@ -215,7 +215,7 @@ def bars(
             f"{hatch if grey[row] else _DATAS}/>"
             f'<path d="M{x:.1f} {y + 2.0:.1f}v12" stroke="currentColor" stroke-width="2"/>'
         )
-    return _svg(300, int(bottom) + 18, "".join(parts), what)
+    return _svg(330, int(bottom) + 18, "".join(parts), what)
 
 
 def _hatch(what: str, *numbers: ArrayLike) -> tuple[str, str]:

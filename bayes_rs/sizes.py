@@ -87,11 +87,12 @@ def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
     if sys.platform == "win32":
         return _of_windows()
-    free = [_of_machine(), *(_of_group(file) for file in _limits())]
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY:
-        free.append(max(float(limit) - _own("VmSize"), 0.0))
-    return min(free)
+    else:  # noqa: RET505 - for type checkers, which know the system by it
+        free = [_of_machine(), *(_of_group(file) for file in _limits())]
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            free.append(max(float(limit) - _own("VmSize"), 0.0))
+        return min(free)
 
 
 def in_bytes(n_byte: float) -> str:
@@ -131,8 +132,9 @@ def _of_machine() -> float:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
                 return 1024.0 * float(line.split()[1])
-    with suppress(OSError, ValueError):
-        return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    if sys.platform != "win32":
+        with suppress(OSError, ValueError):
+            return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
     return float("inf")
 
 

@@ -48,17 +48,16 @@ def fit_card(fit: FitData) -> str:
         return card(title, rows.items())
     found = fit.of_stresses("median", "low", "high", "decided")
     middle, low, high, decided = (np.nanmedian(values[fit.fitted], axis=0) for values in found.values())
-    scale = float(np.max(np.abs([low, high]))) or 1.0
-    ends = (min(float(low.min()) / scale, -0.1), 1.0)
-    what = f"of the median record, over {scale:.3g} m² s⁻²; hatched: the prior's"
-    six = bars(middle / scale, low / scale, high / scale, STRESSES, what, ends, priors=is_priors(decided))
+    ends = (min(float(low.min()), 0.0), max(float(high.max()), 1e-9))
+    what = "median record, m² s⁻²; hatched: the prior's"
+    six = bars(middle, low, high, STRESSES, what, ends, priors=is_priors(decided))
     shown = some(fit.n_record)
     names = [""] * fit.n_record
     for number in shown.tolist():
         names[number] = record_name(number, fit.time[number])
-    every = "" if len(shown) == fit.n_record else f" of every {_ordinal(int(shown[1]))} record"
+    every = "" if len(shown) == fit.n_record else f", every {_ordinal(int(shown[1]))} record"
     middle, low, high, decided = (values[:, 0] for values in found.values())
-    uu = intervals(middle, low, high, is_priors(decided), names, f"uu{every}; hatched: the prior's", "m² s⁻²")
+    uu = intervals(middle, low, high, is_priors(decided), names, f"uu{every}; hatched: prior's", "m² s⁻²")
     return card(title, rows.items(), six + uu)
 
 
