@@ -41,7 +41,6 @@ check: $(VENV)/installed-check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy --platform win32
 	$(BIN)/lint-imports
 	$(ENV) $(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' -p no:cacheprovider --ignore=docs/conf.py --ignore=docs/_build bayes_rs README.md docs
 	$(ENV) $(BIN)/python notebooks/run_short.py
