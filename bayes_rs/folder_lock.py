@@ -65,8 +65,7 @@ def locked(folder: str | Path) -> Iterator[None]:
             os.write(number, words.encode("utf-8"))
         yield
     finally:
-        if sys.platform != "win32":  # which cannot remove an open file: there the empty lock stays
-            file.unlink(missing_ok=True)  # while it is locked: who has opened it meanwhile sees that it is gone
+        _let_go(number, file)
         os.close(number)
 
 
@@ -115,6 +114,15 @@ def _is_there(file: Path, number: int) -> bool:
         return os.path.samestat(file.stat(), os.fstat(number))
     except FileNotFoundError:
         return False
+
+
+def _let_go(number: int, file: Path) -> None:
+    if sys.platform == "win32":  # which cannot remove an open file: there the empty lock stays
+        with suppress(OSError):  # it was not locked, where the place knows no locks
+            os.lseek(number, _AT, os.SEEK_SET)
+            msvcrt.locking(number, msvcrt.LK_UNLCK, 1)  # at once: with the file it is freed at some time
+    else:
+        file.unlink(missing_ok=True)  # while it is locked: who has opened it meanwhile sees that it is gone
 
 
 def _lock(number: int) -> None:

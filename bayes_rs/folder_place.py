@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator
@@ -17,6 +18,9 @@ MARK = f"{HALF}partial"
 """File in a folder that a run fills beside the one that it replaces: a folder that only has such a name has it not."""
 _STEM = 40
 """Characters of a long name in the names beside it."""
+_WINDOWS = sys.platform == "win32"
+_DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(1, 10))}
+_NO_NAME = '<>:"|?*'
 _LONGEST = 200  # bytes: any file system takes the name and what we add to it
 
 
@@ -47,6 +51,8 @@ def check_place(final: Path) -> None:
     OSError
         If the name cannot be, as one that is too long.
     """
+    if _WINDOWS:
+        check_windows_name(final.name)
     with suppress(FileNotFoundError, NotADirectoryError):
         final.lstat()  # says what is wrong with a name; from Python 3.14 on, `exists` says no and nothing more
     if final.is_symlink():
@@ -54,6 +60,27 @@ def check_place(final: Path) -> None:
     if final.exists() and not final.is_dir():
         raise InputError(
             f"Cannot write the output folder {str(final)!r}: a file of that name exists; give another name."
+        )
+
+
+def check_windows_name(name: str) -> None:
+    """Refuse the name of a folder that Windows takes for a device, cuts, or puts into a hidden stream of another file.
+
+    Raises
+    ------
+    InputError
+        If it is one.
+
+    Examples
+    --------
+    >>> check_windows_name("year-2020")
+    """
+    if name.split(".", maxsplit=1)[0].rstrip(" ").upper() in _DEVICES:
+        raise InputError(f"Cannot write the output folder {name!r}: it is the name of a device; give another name.")
+    if name != name.rstrip(" .") or any(character in _NO_NAME or ord(character) < 32 for character in name):
+        raise InputError(
+            f"Cannot write the output folder {name!r}: on Windows a name has none of {' '.join(_NO_NAME)} and does "
+            "not end with a blank or a dot; give another name."
         )
 
 
@@ -243,6 +270,7 @@ def _clear(old: Path, final: Path) -> None:
     reason = remove_ours(old)
     if reason:
         kept = Path(tempfile.mkdtemp(dir=final.parent, prefix=f"{final.name[:_STEM]}.kept-"))
+        kept.rmdir()  # it was made for its name: no other system than POSIX puts a folder in the place of an empty one
         old.replace(final.parent / kept.name)
         warnings.warn(
             f"The earlier folder {str(final)!r} is kept as {str(final.parent / kept.name)!r}: it {reason}",

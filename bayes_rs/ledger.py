@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,9 +86,13 @@ def fingerprint_of_file(file: Path, *, to_disk: bool = False) -> Fingerprint:
     """Return the fingerprint of a file; with `to_disk` its bytes are on the disk when this returns."""
     with file.open("rb") as opened:
         digest = hashlib.file_digest(opened, "sha256").hexdigest()
-        if to_disk:
+        n_byte = opened.tell()
+        if to_disk and sys.platform != "win32":
             os.fsync(opened.fileno())  # a power cut leaves no file that has its name and not its bytes
-        return Fingerprint(opened.tell(), digest)
+    if to_disk and sys.platform == "win32":  # which flushes only what may be written
+        with file.open("r+b") as opened:
+            os.fsync(opened.fileno())
+    return Fingerprint(n_byte, digest)
 
 
 def _check_path(path: str) -> str:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
+if sys.platform == "win32":
+    import _winapi
+
+_SYNCHRONIZE = 0x00100000
+"""Right to wait for a process of Windows."""
 _log = logging.getLogger(__name__)
 
 
@@ -58,8 +64,13 @@ def end_with(parent: int) -> None:
     """End this process when the one that started it is gone: killed, it could not say goodbye."""
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
+        if sys.platform == "win32":  # where the number of the parent stays when it is gone
+            with suppress(OSError):  # it is gone already
+                handle = _winapi.OpenProcess(_SYNCHRONIZE, False, parent)
+                _winapi.WaitForSingleObject(handle, _winapi.INFINITE)
+        else:
+            while os.getppid() == parent:
+                time.sleep(1.0)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 import tempfile
@@ -19,6 +20,8 @@ hushed: ContextVar[bool] = ContextVar("hushed", default=False)
 """Whether no bar is shown where nobody says that one is."""
 _tally: str | None = None
 """In a worker process: the file that it notes in what is done."""
+_PATIENCE = 0.5
+"""Seconds that a notebook goes without a bar: what is done by then needs none."""
 _WORKER_LOOKS = 0.3
 """Seconds after which what workers noted is looked at again."""
 
@@ -126,7 +129,7 @@ def progress(
     description : str
         A few words in front of the bar.
     disable : bool, optional
-        True for no bar, False for a bar in any case; by default a bar only if stderr is a terminal.
+        True for no bar, False for a bar in any case; by default a bar only if stderr is a terminal, or a notebook's.
 
     Yields
     ------
@@ -138,8 +141,8 @@ def progress(
     >>> list(progress([1, 2, 3], 3, "counting", disable=True))
     [1, 2, 3]
     """
-    silent = _no_terminal() if disable is None else disable
-    yield from tqdm(iterable, total=total, desc=description, disable=silent, file=sys.stderr, leave=False)
+    with _bar(total, description, disable, iterable=iterable) as bar:
+        yield from bar
 
 
 @contextmanager
@@ -168,17 +171,7 @@ def progress_counter(
     counter : Counter
         Its ``update(n)`` says that n more are done; `note_done` says so from within a part of the work.
     """
-    silent = _no_terminal() if disable is None else disable
-    with tqdm(
-        total=total,
-        initial=initial,
-        desc=description,
-        unit=unit,
-        unit_scale=scale,
-        disable=silent,
-        file=sys.stderr,
-        leave=False,
-    ) as bar:
+    with _bar(total, description, disable, unit=unit, initial=initial, unit_scale=scale) as bar:
         counter = Counter(bar, initial)
         before = _counting.set(counter)
         try:
@@ -187,6 +180,31 @@ def progress_counter(
             _counting.reset(before)
 
 
+def _bar(total: int | None, description: str, disable: bool | None, **more: Any) -> Any:
+    """Return a bar: on stderr, in a notebook the one that it draws, if it has what that takes."""
+    options = {"total": total, "desc": description, "leave": False, "file": sys.stderr, **more}
+    if not _in_notebook():
+        return tqdm(disable=_no_terminal() if disable is None else disable, **options)
+    # tqdm.auto would warn where ipywidgets is missing; a line of text under the cell does there
+    kind = notebook_tqdm() if importlib.util.find_spec("ipywidgets") else tqdm
+    return kind(
+        disable=hushed.get() if disable is None else disable, delay=0.0 if disable is False else _PATIENCE, **options
+    )
+
+
 def _no_terminal() -> bool:
     """Say whether nobody looks at stderr, which is None where a program was started without one."""
     return hushed.get() or sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()
+
+
+def _in_notebook() -> bool:
+    """Say whether this is the kernel of a notebook, whose stderr is no terminal though somebody looks at it."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return "IPKernelApp" in getattr(shell, "config", ())
+
+
+def notebook_tqdm() -> Any:
+    """Return tqdm's bar of widgets."""
+    from tqdm.notebook import tqdm as of_widgets  # noqa: PLC0415 - of notebooks alone
+
+    return of_widgets

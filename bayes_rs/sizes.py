@@ -5,10 +5,12 @@ Sizes are estimated by simple formulas beside the work, and need not be right to
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from bayes_rs.errors import InputError
 
@@ -83,12 +85,14 @@ def check_work(what: str, seconds: float, advice: str) -> None:
 
 def free_memory() -> float:
     """Return how many bytes this process may still take: of the machine, of its group and of its own limits."""
-    free = [_of_machine(), *(_of_group(file) for file in _limits())]
-    if sys.platform != "win32":
+    if sys.platform == "win32":
+        return _of_windows()
+    else:  # noqa: RET505 - for type checkers, which know the system by it
+        free = [_of_machine(), *(_of_group(file) for file in _limits())]
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY:
             free.append(max(float(limit) - _own("VmSize"), 0.0))
-    return min(free)
+        return min(free)
 
 
 def in_bytes(n_byte: float) -> str:
@@ -128,9 +132,28 @@ def _of_machine() -> float:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
                 return 1024.0 * float(line.split()[1])
-    with suppress(OSError, ValueError):
-        return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    if sys.platform != "win32":
+        with suppress(OSError, ValueError):
+            return float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
     return float("inf")
+
+
+def _of_windows() -> float:
+    """Return the bytes of memory that Windows says are free; infinite if it does not say."""
+    status = _WindowsMemory(size=ctypes.sizeof(_WindowsMemory))
+    kernel: Any = getattr(ctypes, "windll", None)
+    told = kernel is not None and kernel.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+    return float(status.free) if told else float("inf")
+
+
+class _WindowsMemory(ctypes.Structure):
+    """What GlobalMemoryStatusEx fills in (MEMORYSTATUSEX), bytes."""
+
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("used_percent", ctypes.c_uint32),
+        *((name, ctypes.c_uint64) for name in ("all", "free", "page_all", "page_free", "own_all", "own_free", "more")),
+    ]
 
 
 def _limits() -> list[Path]:

@@ -63,6 +63,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 600
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # progress bars
 
 # reference
 add_module_names = False

@@ -129,7 +129,7 @@ class TestTogether:
             found.at(height=50.0)
 
     def test_arviz_has_the_range_as_a_dimension(self, found):
-        tree = found.to_arviz()
+        tree = found.to_datatree()
         assert tree["posterior"]["stress"].sizes["range"] == 2
         np.testing.assert_array_equal(
             tree["posterior"]["stress"].sel(range=98.0).values, found.at(98.0)["posterior"]["stress"].values

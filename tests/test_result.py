@@ -34,18 +34,19 @@ def result(scene):
 @pytest.fixture(scope="module")
 def file(result, tmp_path_factory):
     path = tmp_path_factory.mktemp("result") / "posterior.nc"
-    result.to_arviz().to_netcdf(path, engine="h5netcdf")
+    result.to_datatree().to_netcdf(path, engine="h5netcdf")
     return path
 
 
 class TestLayout:
     def test_groups(self, result):
-        assert set(result.to_arviz().children) == {
+        assert set(result.to_datatree().children) == {
             "posterior",
             "prior",
             "posterior_predictive",
             "observed_data",
             "sample_stats",
+            "log_likelihood",
         }
 
     @pytest.mark.parametrize(
@@ -143,17 +144,17 @@ class TestLayout:
 class TestFile:
     def test_the_file_gives_the_same_result_back(self, result, file):
         with xr.open_datatree(file, engine="h5netcdf") as back:
-            assert back.load().identical(result.to_arviz())
+            assert back.load().identical(result.to_datatree())
 
     def test_group_is_a_dataset_of_one_group(self, result):
         assert isinstance(result["posterior"], xr.Dataset)
-        assert result["posterior"].identical(result.to_arviz()["posterior"].to_dataset())
+        assert result["posterior"].identical(result.to_datatree()["posterior"].to_dataset())
 
     def test_arviz_opens_the_file_as_it_is(self, result, file, arviz):
         opened = arviz.from_netcdf(file)
         # InferenceData before ArviZ 1.0, a DataTree since
         groups = opened.children if isinstance(opened, xr.DataTree) else opened.groups()
-        assert set(groups) == set(result.to_arviz().children)
+        assert set(groups) == set(result.to_datatree().children)
         xr.testing.assert_equal(opened.posterior["stress"], result["posterior/stress"])
 
     def test_arviz_summarizes_a_record_to_our_numbers(self, result, file, arviz):
@@ -181,6 +182,7 @@ class TestRefusals:
         words = r"The fit kept no draws, which this needs: fit again with draws='float32' \(--draws float32\)\."
         for needs in (
             short.to_arviz,
+            short.to_datatree,
             short.draws,
             short.predicted_draws,
             short.lidar_frame,

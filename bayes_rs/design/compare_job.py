@@ -68,6 +68,7 @@ def run_compare(
         (folder / "comparison.json").write_text(
             json.dumps({"bayes_rs": __version__, "scene": scene, "rows": rows}, indent=1, ensure_ascii=False) + "\n",
             encoding="utf-8",
+            newline="\n",
         )
         comparison(table).savefig(folder / "comparison.png", dpi=130)
         write_run(folder, {"bayes_rs": __version__, "command": "compare", **scene})

@@ -60,7 +60,7 @@ def run_optimize(
         save_scan(best.scan, folder / "scan.toml")
         # JSON has no infinity: the criterion of a scan that does not see all stresses is null
         text = json.dumps(_plain(best.to_dict()), indent=2, ensure_ascii=False, allow_nan=False)
-        (folder / "optimum.json").write_text(text + "\n", encoding="utf-8")
+        (folder / "optimum.json").write_text(text + "\n", encoding="utf-8", newline="\n")
         plot_optimum(best).savefig(folder / "beams.png", dpi=130)
         write_run(folder, {"bayes_rs": __version__, "command": "optimize", "asked_for": _plain(best.details)})
     return best, lines

@@ -174,14 +174,27 @@ def fit_batch(batch: Batch, noise: Noise, options: FitOptions, *, predict: bool 
     draws : RecordDraws
         Bit by bit the same whatever other records are in the batch.
     """
-    if options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise):
-        # each record by itself decides which way it goes, so that it is the same in any company
-        whole = batch.used.all(axis=1)
-        ways = [(np.flatnonzero(whole), _fit_reduced), (np.flatnonzero(~whole), _fit_whole)]
-        parts = [(rows, way(batch.take(rows), noise, options, predict)) for rows, way in ways if len(rows)]
-        back = np.argsort(np.concatenate([rows for rows, _ in parts]))
-        return join_draws([draws for _, draws in parts], back)
-    return _fit_whole(batch, noise, options, predict)
+    reduced_rows = _reduced_beforehand(batch, noise, options)
+    # each record by itself decides which way it goes, so that it is the same in any company
+    ways = [(np.flatnonzero(reduced_rows), _fit_reduced), (np.flatnonzero(~reduced_rows), _fit_whole)]
+    parts = [(rows, way(batch.take(rows), noise, options, predict)) for rows, way in ways if len(rows)]
+    if len(parts) == 1:
+        return parts[0][1]
+    back = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    return join_draws([draws for _, draws in parts], back)
+
+
+def posteriors(batch: Batch, noise: Noise, options: FitOptions) -> list[tuple[NDArray[np.int64], Posterior]]:
+    """Return the posteriors that `fit_batch` samples, each with the rows of the batch that it is of."""
+    reduced_rows = _reduced_beforehand(batch, noise, options)
+    ways = [(np.flatnonzero(reduced_rows), _reduced_posterior), (np.flatnonzero(~reduced_rows), make_posterior)]
+    return [(rows, way(batch.take(rows), noise, options)[0]) for rows, way in ways if len(rows)]
+
+
+def _reduced_beforehand(batch: Batch, noise: Noise, options: FitOptions) -> NDArray[np.bool_]:
+    """Return which records, those of a scan of many beams that use them all, have their noise reduced beforehand."""
+    can = options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise)
+    return np.asarray(batch.used.all(axis=1)) if can else np.zeros(len(batch), dtype=np.bool_)
 
 
 def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = slice(None)) -> RecordDraws:
@@ -237,8 +250,8 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
     )
 
 
-def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) -> RecordDraws:
-    """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
+def _reduced_posterior(batch: Batch, bank: Noise, options: FitOptions) -> tuple[Posterior, NDArray[np.bool_]]:
+    """Return the posterior of records of a many-beam scan, and which of them the noise does not reach."""
     noise = reduced(bank, options.nuisances.gradient_names)
     factors, weights = options.nuisances.length_scale_nodes()
     parts: list[Likelihood] = []
@@ -272,10 +285,15 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
             )
         )
         if factor == 1.0:
-            at_record = at_node
+            outside = at_node.outside
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
-    posterior = Posterior(likelihood, batch.prior(options), nuisances)
+    return Posterior(likelihood, batch.prior(options), nuisances), outside
+
+
+def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) -> RecordDraws:
+    """Sample records of a many-beam scan; their covariances are needed as a whole only to predict."""
+    posterior, outside = _reduced_posterior(batch, bank, options)
     chains, streams = sample(
         options.sampler,
         posterior,
@@ -287,8 +305,8 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
     if predict:
         some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
-        expected = likelihood.expected(*posterior.seen(some))
-        full = _noise_of(noise.bank, batch, options.nuisances, 1.0)
+        expected = posterior.likelihood.expected(*posterior.seen(some))
+        full = _noise_of(bank, batch, options.nuisances, 1.0)
         root = _symmetric_root(options.nuisances.inflation * np.log1p(full.covariance), full.state)
         predicted = _predicted(expected, root, batch.used, streams).reshape(predicted.shape)
     values = posterior.nuisance_values(chains.coordinate.reshape(len(batch), -1, k))
@@ -296,7 +314,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         chains,
         {name: value.reshape(len(batch), n_chain, n_draw) for name, value in values.items()},
         predicted,
-        at_record.outside,
+        outside,
         np.zeros(len(batch)),
     )
 

@@ -28,10 +28,12 @@ from bayes_rs.ledger import LEDGER
 from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 if TYPE_CHECKING:
+    from bayes_rs.fits.fit_data import FitData
     from bayes_rs.priors.registry import Prior
 
 PRIOR_FILE = "prior.parquet"
 RECORDS_FILE = "records.nc"
+ARVIZ_FILE = "posterior.nc"
 
 
 def open_fit(folder: str | Path) -> Fit:
@@ -142,6 +144,25 @@ class _InFolder:
                 f"File {str(self.folder.path / PRIOR_FILE)!r} does not hold {N_PRIOR_DRAW} draws; {ADVICE}."
             )
         return table.to_numpy(dtype=np.float64)
+
+    def has_log_likelihood(self) -> bool:
+        return self.folder.names(ARVIZ_FILE) == [ARVIZ_FILE]
+
+    def log_likelihood(self, fit: FitData) -> xr.Dataset:
+        from bayes_rs.readers.netcdf_file import load_netcdf  # noqa: PLC0415 - not needed for the tables
+
+        file = self.folder.checked(ARVIZ_FILE)
+        found = load_netcdf(file, group="/log_likelihood")
+        sizes = {"chain": self.tables.run.n_chain, "draw": self.tables.run.n_draw, "record": fit.n_record}
+        known = {**sizes, "beam": len(self.tables.beams), "number": found.sizes.get("number", 0)}
+        for name, value in found.data_vars.items():
+            dims = (*sizes, *map(str, value.dims[3:]))
+            if value.dims != dims or len(dims) > 4 or any(known.get(dim) != value.sizes[dim] for dim in dims):
+                raise InputError(
+                    f"The log-likelihood in {str(file)!r} cannot be used: {name!r} does not have a number for each "
+                    f"draw of the fit; {ADVICE}."
+                )
+        return found
 
     def campaign_prior(self) -> Prior | None:
         from bayes_rs.priors.campaign import load_campaign_prior  # noqa: PLC0415 - seldom needed

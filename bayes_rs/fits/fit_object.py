@@ -17,9 +17,18 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
 from bayes_rs.fits.direction_table import direction_medians, direction_rows
+from bayes_rs.fits.fit_card import fit_card, fit_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import FRAMES, lidar_frame
-from bayes_rs.fits.groups import GROUPS, attributes, group_of
+from bayes_rs.fits.groups import (
+    as_arviz_takes,
+    attributes,
+    group_names,
+    group_of,
+    has_group,
+    of_one_record,
+    tree_of,
+)
 from bayes_rs.fits.headline import Headline, headline_of
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
@@ -55,10 +64,15 @@ class Fit(FitData):
     """
 
     def __repr__(self) -> str:
-        """Say in one line what it is."""
+        """Say in a few lines what it is, and what was found."""
         where = f", in {self.place!r}" if self.place else ""
         counts = f"{self.n_fitted} of {self.n_record} records"
-        return f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}>"
+        first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
+        return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with uu of the records."""
+        return fit_card(self)
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -296,24 +310,52 @@ class Fit(FitData):
         """
         return lidar_frame(self)
 
-    def to_arviz(self) -> xr.DataTree:
-        """Return the fit in ArviZ's layout.
+    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
+        """Return the fit in ArviZ's layout, as xarray holds it.
+
+        Parameters
+        ----------
+        record : int or str, optional
+            Number of a record, or its start as ISO time (UTC), for this record alone, without the dimension ``record``
+            and with the beams that it uses; by default all records.
 
         Returns
         -------
         tree : DataTree
             Groups ``posterior`` (``stress`` with dims chain, draw, record, component), ``sample_stats``, ``prior``,
-            ``observed_data`` and ``posterior_predictive``. Records that could not be fitted stay in it, as NaN and
-            flagged.
+            ``observed_data``, ``posterior_predictive``, and ``log_likelihood`` (of each draw and datum; not for the
+            target ``"sonic"``, nor in a folder of more than 2000 records). Records that could not be fitted stay in it,
+            as NaN and flagged.
 
         Raises
         ------
         InputError
-            If the draws were not kept.
+            If the draws were not kept, or there is no such record, or it was not fitted.
         """
-        tree = xr.DataTree.from_dict({"/": xr.Dataset(), **{f"/{name}": self[name] for name in GROUPS}})
-        tree.attrs = self.attrs
-        return tree
+        groups = {name: self[name] for name in group_names(self)}
+        if record is not None:
+            groups = of_one_record(groups, self.find_record(record))
+        return tree_of(groups, self.attrs)
+
+    def to_arviz(self, record: int | str | None = None) -> Any:
+        """Return the fit as the functions of ArviZ take it.
+
+        Parameters
+        ----------
+        record : int or str, optional
+            As for `to_datatree`. ArviZ's `loo` needs one: a record's datum is left out of this record alone.
+
+        Returns
+        -------
+        data : DataTree or InferenceData
+            What `to_datatree` returns; before ArviZ 1 as its InferenceData.
+
+        Raises
+        ------
+        InputError
+            As `to_datatree`.
+        """
+        return as_arviz_takes(self.to_datatree(record))
 
     @cached_property
     def _groups(self) -> dict[str, xr.Dataset]:
@@ -328,7 +370,7 @@ class Fit(FitData):
 
     def __contains__(self, name: object) -> bool:
         """Say whether there is a group of that name, with draws where it needs them."""
-        return name in GROUPS and (self.has_draws or name not in ("posterior", "posterior_predictive"))
+        return has_group(self, name)
 
     def headline(self) -> Headline:
         """Return what was found, what the data decided of it and what is doubtful, in three lines.

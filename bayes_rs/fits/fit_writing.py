@@ -10,16 +10,17 @@ from functools import partial
 from typing import Any
 
 import pandas as pd
-import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits import campaign_files
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
-from bayes_rs.fits.fit_folder import PRIOR_FILE, RECORDS_FILE, fit_in
+from bayes_rs.fits.fit_folder import ARVIZ_FILE, PRIOR_FILE, RECORDS_FILE, fit_in
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.folder_tables import DATASETS
+from bayes_rs.fits.groups import GROUPS, tree_of, with_places
+from bayes_rs.fits.log_likelihood import log_likelihood_of
 from bayes_rs.fits.parts import Done, Part, fit_part
 from bayes_rs.fits.people_table import PEOPLE_FILE, PeopleRows, write_people_table
 from bayes_rs.fits.plan import LAYOUT, Plan
@@ -39,7 +40,6 @@ NOISE_FILE = "noise.nc"
 """The noise of a fit that was given one: with it and the records the folder repeats the fit."""
 GIVEN_PRIOR_FILE = "given-prior.toml"
 """The prior of a fit that was given one from a file, for the same reason."""
-ARVIZ_FILE = "posterior.nc"
 PLAN_FILE = "fit-key.json"
 """Says of which data the parts in a folder are: files can be added to those that a run has read."""
 MOST_CSV = 20_000
@@ -128,7 +128,7 @@ def fit_into(
         raise
     found = fit_in(folder, run, checked, plan.scan, str(folder.path))
     try:
-        _write_exports(folder, found, plan.records)
+        _write_exports(folder, found, plan)
         counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
     except (InputError, OSError):
         folder.check_whole()  # a part that went while the others were made is named as lost
@@ -188,11 +188,14 @@ def _means(fitted: Fit) -> FloatArray:
     return fitted.of_stresses("mean")["mean"]
 
 
-def _write_exports(folder: ResultFolder, found: Fit, records: xr.Dataset) -> None:
+def _write_exports(folder: ResultFolder, found: Fit, plan: Plan) -> None:
     """Write what others read: the table for people, and of fits that are not too long, summary (CSV) and all groups."""
-    folder.write(PEOPLE_FILE, partial(write_people_table, [PeopleRows(found, records, {})]))
+    folder.write(PEOPLE_FILE, partial(write_people_table, [PeopleRows(found, plan.records, {})]))
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, exported_summary(found), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
     if found.has_draws and found.n_record <= MOST_KEPT:
-        folder.write(ARVIZ_FILE, partial(write_netcdf, found.to_arviz()))
+        groups = {name: found[name] for name in GROUPS if name != "log_likelihood"}
+        if found.settings["fit"]["target"] != "sonic":
+            groups["log_likelihood"] = with_places(found, log_likelihood_of(plan.shared, plan.parts, found))
+        folder.write(ARVIZ_FILE, partial(write_netcdf, tree_of(groups, found.attrs)))

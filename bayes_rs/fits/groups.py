@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import warnings
+from collections.abc import Mapping
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,7 @@ import xarray as xr
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import CORRELATED
 from bayes_rs.fits.fit_data import FitData
+from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.nuisance import UNITS
@@ -110,14 +114,87 @@ def sample_stats(fit: FitData) -> xr.Dataset:
     )
 
 
+def log_likelihood(fit: FitData) -> xr.Dataset:
+    """Return the log-likelihood of the draws: ``joint`` (chain, draw, record), and that of each datum, ``variance``
+    (chain, draw, record, beam) or ``direction`` (chain, draw, record, number); see `log_likelihood_of`.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if not has_log_likelihood(fit):
+        raise InputError(
+            "This fit has no log_likelihood: it is that of R, whose draws are not kept for the target 'sonic', and in "
+            f"a folder it is there for up to {MOST_KEPT} records whose draws are kept."
+        )
+    found: xr.Dataset = fit.loaded.log_likelihood(fit)
+    return with_places(fit, found)
+
+
+def with_places(fit: FitData, found: xr.Dataset) -> xr.Dataset:
+    """Return a log-likelihood with the coordinates of the fit."""
+    coords = _beam_coords(fit) if "beam" in found.dims else _record_coords(fit)
+    return found.assign_coords({**coords, **_chains(found.sizes["chain"]), "draw": np.arange(found.sizes["draw"])})
+
+
+def has_log_likelihood(fit: FitData) -> bool:
+    """Tell whether the log-likelihood of the draws is known."""
+    return fit.has_draws and fit.settings["fit"]["target"] != "sonic" and bool(fit.loaded.has_log_likelihood())
+
+
 GROUPS = {
     "posterior": posterior,
     "sample_stats": sample_stats,
+    "log_likelihood": log_likelihood,
     "prior": prior,
     "observed_data": observed_data,
     "posterior_predictive": posterior_predictive,
 }
-"""The groups by name; the first and the last need the draws."""
+"""The groups by name."""
+_NEED_DRAWS = ("posterior", "log_likelihood", "posterior_predictive")
+
+
+def group_names(fit: FitData) -> list[str]:
+    """Return the names of the groups that a fit with draws has."""
+    return [name for name in GROUPS if name != "log_likelihood" or has_log_likelihood(fit)]
+
+
+def has_group(fit: FitData, name: object) -> bool:
+    """Tell whether a fit has a group, with draws where it needs them."""
+    return name in group_names(fit) and (fit.has_draws or name not in _NEED_DRAWS)
+
+
+def tree_of(groups: Mapping[str, xr.Dataset], attrs: Mapping[str, Any]) -> xr.DataTree:
+    """Return groups as one tree."""
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(), **{f"/{name}": group for name, group in groups.items()}})
+    tree.attrs = dict(attrs)
+    return tree
+
+
+def of_one_record(groups: Mapping[str, xr.Dataset], record: int) -> dict[str, xr.Dataset]:
+    """Return groups of one record, with the beams that it uses, and without numbers that it does not have."""
+    used = groups["observed_data"]["used"].values[record] == 1
+    found = {}
+    for name, group in groups.items():
+        own = group.isel(record=record) if "record" in group.dims else group
+        if "beam" in own.dims:
+            own = own.isel(beam=np.flatnonzero(used))
+        if "number" in own.dims:
+            own = own.dropna("number", how="all")
+        found[name] = own
+    return found
+
+
+def as_arviz_takes(tree: xr.DataTree) -> Any:
+    """Return a tree as the ArviZ that is installed works with it: before its version 1 as an InferenceData."""
+    if int(version("arviz").split(".", maxsplit=1)[0]) >= 1:
+        return tree
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ 0.23 announces its own refactoring when it is imported
+        import arviz  # noqa: PLC0415 - it takes a second, and nothing else needs it
+    groups: dict[str, Any] = {name: group.to_dataset() for name, group in tree.children.items()}
+    return arviz.InferenceData(attrs=tree.attrs, **groups)
 
 
 def group_of(fit: FitData, name: str) -> xr.Dataset:

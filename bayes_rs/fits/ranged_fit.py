@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_card import ranges_card
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.groups import GROUPS
+from bayes_rs.fits.groups import group_names, has_group, tree_of
 from bayes_rs.fits.headline import Headline, headline_of_ranges
 from bayes_rs.fits.people_table import PeopleRows
 from bayes_rs.fits.selection import Selection
@@ -111,6 +112,10 @@ class RangedFit(Fit):
         """Say in one line what it is."""
         where = f", in {self.place!r}" if self.place else ""
         return f"<RangedFit: {len(self.fits)} of {len(self.ranges)} ranges, scan {self.scan.name}{where}>"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with uu at each range."""
+        return ranges_card(self.profile() if self.fits else pd.DataFrame(), self.scan.name, self.range_names)
 
     @property
     def ranges(self) -> FloatArray:
@@ -365,22 +370,30 @@ class RangedFit(Fit):
         """Starts of the records, shape (n_record of one range,)."""
         return next(iter(self.fits.values())).time
 
-    def to_arviz(self) -> xr.DataTree:
+    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
         """Return the fits in ArviZ's layout, with the dimension ``range`` before all others.
+
+        Parameters
+        ----------
+        record : None
+            A record is one of one range: ``fit.at(range).to_datatree(record)``.
 
         Raises
         ------
         InputError
-            If the draws of a range were not kept.
+            If the draws of a range were not kept, or a record is given.
         """
+        if record is not None:
+            raise _of_one(self.ranges.tolist())
+        fits = list(self.fits.values())
         groups = {}
-        for name in GROUPS:
-            parts = [own[name] for own in self.fits.values()]
+        for name in group_names(fits[0]):
+            if name == "log_likelihood" and not all(has_group(own, name) for own in fits):
+                continue
+            parts = [own[name] for own in fits]
             ranges = xr.DataArray(self.ranges[list(self.fits)], dims="range", attrs={"units": "m"}, name="range")
-            groups[f"/{name}"] = xr.concat(parts, dim=ranges, join="outer", combine_attrs="drop_conflicts")
-        tree = xr.DataTree.from_dict({"/": xr.Dataset(), **groups})
-        tree.attrs = {name: value for name, value in self.attrs.items() if name not in ("seed", "scan_key")}
-        return tree
+            groups[name] = xr.concat(parts, dim=ranges, join="outer", combine_attrs="drop_conflicts")
+        return tree_of(groups, {name: value for name, value in self.attrs.items() if name not in ("seed", "scan_key")})
 
     def __getitem__(self, name: str) -> Any:
         """Refuse: a group is of one range."""

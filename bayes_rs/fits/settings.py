@@ -252,7 +252,7 @@ class Settings:
         lines = [*_table("fit.nuisances", plain["fit"].pop("nuisances"))]
         lines = [line for name, values in plain.items() for line in _table(name, values)] + lines
         with output_file(path, overwrite=overwrite) as part:
-            part.write_text("\n".join(lines), encoding="utf-8")
+            part.write_text("\n".join(lines), encoding="utf-8", newline="\n")
 
     def input_files(self) -> list[str]:
         """Return the files that the settings name and that are there: what is read, and may not lie in the output."""

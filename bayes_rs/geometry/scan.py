@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray, as_whole_numbers, check_array, check_finite, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
+from bayes_rs.geometry.scan_card import scan_card, scan_rows
 
 
 def tilt_matrix(tilt: ArrayLike) -> FloatArray:
@@ -60,7 +61,7 @@ def yaw_matrix(yaw: ArrayLike) -> FloatArray:
     return matrix
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scan:
     """All beams of an instrument, their timing and mounting.
 
@@ -174,6 +175,21 @@ class Scan:
             frozen.flags.writeable = False
             object.__setattr__(self, key, frozen)
         object.__setattr__(self, "scan_duration", duration)
+
+    def __repr__(self) -> str:
+        """Say in one line what it is."""
+        said = ", ".join(f"{name} {value}" for name, value in self._rows().items())
+        return f"<{type(self).__name__} {self.name!r}: {said}>"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with a picture of the beams."""
+        title = f"Scan {self.name}" + (f": {self.title}" if self.title else "")
+        return scan_card(title, self._rows(), self.level_direction, self.beam.tolist())
+
+    def _rows(self) -> dict[str, str]:
+        rows = scan_rows(self.level_direction, self.focus_distance, self.scan_duration, self.probe)
+        angles = {name: f"{np.rad2deg(getattr(self, name)):.4g}°" for name in ("tilt", "yaw") if getattr(self, name)}
+        return {**rows, **angles}
 
     @property
     def n_beam(self) -> int:

@@ -199,7 +199,7 @@ def load_scan_text(text: str, *, name: str, **changes: Any) -> Scan:
     """
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "scan.toml"
-        file.write_text(text, encoding="utf-8")
+        file.write_text(text, encoding="utf-8", newline="\n")
         return replace(load_scan(file, **changes), name=name)
 
 

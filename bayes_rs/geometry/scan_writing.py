@@ -53,7 +53,7 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
         raise InputError(f"Invalid scan file {str(file)!r}: its name must end in .toml; add the ending.")
     text = scan_text(scan)
     with output_file(file, overwrite=overwrite) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(text, encoding="utf-8", newline="\n")
     return file
 
 

@@ -126,7 +126,13 @@ class NormalLikelihood(Likelihood):
         self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
     ) -> FloatArray:
         """Return residuals, shape (n_record, n_draw, n_seen); see `Likelihood`."""
-        return with_tails(self._whiten(stress, offset, gradient)[0], self.n_datum, self.dof)
+        return with_tails(self.residual(stress, offset, gradient), self.n_datum, self.dof)
+
+    def residual(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the same residuals before their tails are shortened: independent, of variance 1 or t-distributed."""
+        return self._whiten(stress, offset, gradient)[0]
 
 
 def expected_signal(

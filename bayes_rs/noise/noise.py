@@ -15,6 +15,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.scan import Scan, yaw_matrix
+from bayes_rs.html_parts import card, heat_map
 from bayes_rs.noise.checking import checked_fields
 from bayes_rs.noise.flow_states import FlowStates
 from bayes_rs.noise.layout import noise_dataset
@@ -230,6 +231,20 @@ class Noise:
     def __repr__(self) -> str:
         """Say in one line what it is."""
         return f"<Noise of scan {self.scan_name}, {self.in_words()[len('noise: ') :]}>"
+
+    def _repr_html_(self) -> str:
+        """Say it in a notebook, with the correlation of the beams' variances in the middle state."""
+        low, high = (f"{100.0 * value:.3g}" for value in (self.relative_error.min(), self.relative_error.max()))
+        rows = [
+            ("noise", self.in_words()[len("noise: ") :]),
+            ("records", f"{self.duration:g} s"),
+            ("error of a variance", f"{low if low == high else f'{low} to {high}'} % of it"),
+        ]
+        middle = len(self) // 2
+        what = f"correlation of the beams' variances at {self.wind_speed[middle]:g} m/s"
+        return card(
+            f"Noise of scan {self.scan_name}", rows, heat_map(self.correlation[middle], list(map(str, self.beam)), what)
+        )
 
     def __len__(self) -> int:
         """Number of states."""

@@ -284,6 +284,20 @@ class RecordNuisances:
                 found[name] = self._width(name) * coordinate[..., index]
         return found
 
+    def coordinate(self, values: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the coordinates (n_record, n_draw, n) of nuisances, each (n_record, n_draw): the inverse of `values`.
+
+        Of an error that is zero, because its width is, the coordinate does not count, and is 0.
+        """
+        found = []
+        for name in self.choice.names:
+            if name == "instrument_noise":
+                found.append(np.log(values[name] / self.instrument_noise) / self.choice.instrument_noise_log_sd)
+            else:
+                width = self._width(name)
+                found.append(values[name] / np.where(width > 0.0, width, 1.0))
+        return np.stack(found, axis=-1)
+
     def _width(self, name: str) -> FloatArray | float:
         if name == "yaw_error" and self.yaw_sd is not None:
             return self.yaw_sd[:, None]

@@ -47,7 +47,7 @@ class LearntGroup:
     n_record: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CampaignPrior(Prior):
     """The distribution that a campaign's records came from: normal in the coordinates of the prior it began with.
 
@@ -225,10 +225,10 @@ class CampaignPrior(Prior):
             for field in fields(group)[:-1]:
                 value = getattr(group, field.name)
                 lines.append(f"{field.name} = {_rows(value.tolist())}")
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RecordsPrior(Prior):
     """A normal prior of another prior's coordinates, with a mean and a covariance for each record.
 

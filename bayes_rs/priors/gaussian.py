@@ -22,7 +22,7 @@ _SOFT = 0.5
 """Diagonal elements of the factor are linear above this multiple of their typical value, logarithmic below."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GaussianPrior(Prior):
     """A normal distribution of the six stresses, truncated to realizable tensors.
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, as_generator, check_count
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.html_parts import bars, card
 from bayes_rs.intervals import EQUAL_TAILED, interval_of
 from bayes_rs.sizes import check_size
 
@@ -19,6 +21,8 @@ N_COORDINATE = 6
 
 _WIDTH_DRAWS = 200_000
 _WIDTH_SEED = 20
+_SHOWN_DRAWS = 4000
+"""Draws of a prior that is shown: its ends are good to a few per cent, as much as a picture shows."""
 
 
 class Prior(ABC):
@@ -46,6 +50,24 @@ class Prior(ABC):
     @abstractmethod
     def in_words(self) -> str:
         """Say in one line what the prior assumes."""
+
+    def __repr__(self) -> str:
+        """Say in one line what it is."""
+        return f"<{type(self).__name__}: {self.in_words()}>"
+
+    def _repr_html_(self) -> str:
+        """Say in a notebook what the prior assumes, with a picture of the shape of R that it expects."""
+        draws = self.draw(_SHOWN_DRAWS, _WIDTH_SEED)
+        low, middle, high = np.quantile(draws, [0.05, 0.5, 0.95], axis=0)
+        rows = [("assumes", self.in_words())]
+        rows += [
+            (name, f"median {middle[index]:.3g} m² s⁻², 90 % between {low[index]:.3g} and {high[index]:.3g}")
+            for index, name in enumerate(STRESSES)
+        ]
+        left, centre, right = np.quantile(draws[:, 1:] / draws[:, :1], [0.05, 0.5, 0.95], axis=0)
+        names = [f"{name}/uu" for name in STRESSES[1:]]
+        picture = bars(centre, left, right, names, "median and 90 % interval of ratios", (-1.0, 2.0))
+        return card(f"Prior {self.name}", rows, picture)
 
     def draw(self, n_draw: int, seed: int | np.random.Generator) -> FloatArray:
         """Draw stresses from the prior, shape (n_draw, 6), m² s⁻²."""

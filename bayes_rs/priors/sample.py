@@ -28,7 +28,7 @@ _SLOPE_RANGE = (0.1, 4.0)
 _NAMES = ("ln uu", "ln vv/uu", "ln ww/uu", "artanh rho_uv", "artanh rho_uw", "artanh rho_vw.u")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SamplePrior(NormalPrior):
     """The smooth distribution that a sample of Reynolds stress tensors comes from.
 

@@ -32,7 +32,9 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @contextmanager
-def open_netcdf(file: Path, *, decode_times: bool = True, trusted: bool = False) -> Iterator[xr.Dataset]:
+def open_netcdf(
+    file: Path, *, decode_times: bool = True, trusted: bool = False, group: str = "/"
+) -> Iterator[xr.Dataset]:
     """Open a NetCDF file; whatever the libraries raise while it is open says that it is damaged.
 
     Parameters
@@ -43,25 +45,29 @@ def open_netcdf(file: Path, *, decode_times: bool = True, trusted: bool = False)
         Whether times are times, or numbers.
     trusted : bool
         That nobody but us, or who installed this package, can have written it: it is read by this process.
+    group : str
+        Path of the group that is wanted; the root by default.
 
     Yields
     ------
     dataset : xarray.Dataset
-        Its root; values are read when they are asked for.
+        The group; values are read when they are asked for.
 
     Raises
     ------
     InputError
         If it is no NetCDF file, or damaged: one that kills the HDF5 library, or keeps it busy for ever, does so in a
-        process of its own, which is also the one that reads.
+        process of its own, which is also the one that reads; or if it has no such group.
     """
     with _opened(file, decode_times=decode_times, trusted=trusted) as groups:
-        yield groups["/"]()
+        if group not in groups:
+            raise InputError(f"File {str(file)!r} has no group {group!r}: it has {', '.join(groups)}.")
+        yield groups[group]()
 
 
-def load_netcdf(file: Path, *, trusted: bool = False) -> xr.Dataset:
-    """Return the root of a NetCDF file in memory; see `open_netcdf`."""
-    with open_netcdf(file, trusted=trusted) as dataset:
+def load_netcdf(file: Path, *, trusted: bool = False, group: str = "/") -> xr.Dataset:
+    """Return a group of a NetCDF file in memory, by its path: the root, unless another is named; see `open_netcdf`."""
+    with open_netcdf(file, trusted=trusted, group=group) as dataset:
         return dataset.load()
 
 

@@ -158,7 +158,8 @@ class _Guard:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
-                    start_new_session=True,  # Ctrl-C is for who asks
+                    start_new_session=True,  # Ctrl-C is for who asks; on Windows the next line says so
+                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
                 )
                 ready, _ = self._exchange(self.process, b"", START_SECONDS)
             except (OSError, RuntimeError) as error:  # RuntimeError: no thread can be started

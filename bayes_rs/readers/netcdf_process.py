@@ -327,20 +327,19 @@ def main() -> None:
     """Answer requests until the input ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nothing that a library prints gets among the answers
-    timed = hasattr(signal, "setitimer")
-    if timed:  # the system ends this process where it hangs and who asked is gone
+    if sys.platform != "win32":  # the system ends this process where it hangs and who asked is gone
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
     answers.write(READY)
     answers.flush()
     for line in sys.stdin.buffer:
         request = json.loads(line)
-        if timed:
+        if sys.platform != "win32":
             signal.setitimer(signal.ITIMER_REAL, 2.0 * request["seconds"] + 1.0)
         told, content = answer(request)
         answers.write(json.dumps({**told, "n_byte": len(content)}).encode() + b"\n")
         answers.write(content)
         answers.flush()
-        if timed:
+        if sys.platform != "win32":
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError
 from bayes_rs._validation import FloatArray, check_array, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES, is_realizable
+from bayes_rs.html_parts import bars, card
 from bayes_rs.models import find_model
 from bayes_rs.toml_file import Size, Table, Text, invalid_file, read_toml
 from bayes_rs.turbulence.one_point import one_point_spectra, scaled_stresses
@@ -71,6 +72,21 @@ class MannTurbulence:
             ("gamma", check_non_negative, ""),
         ):
             object.__setattr__(self, name, check(getattr(self, name), what=name, unit=unit, where=where))
+
+    def _repr_html_(self) -> str:
+        """Say in a notebook what it is, with its stresses over uu."""
+        stress = self.stresses()
+        rows = [
+            ("dissipation αε^(2/3)", f"{self.dissipation:.4g} m^(4/3) s⁻²"),
+            ("length scale L", f"{self.length_scale:.4g} m"),
+            ("anisotropy Γ", f"{self.gamma:.3g}"),
+            ("uu", f"{stress[0]:.3g} m² s⁻²"),
+            *([("source", self.source)] if self.source else []),
+        ]
+        ratio = stress / stress[0]
+        low, high = np.minimum(ratio, 0.0), np.maximum(ratio, 0.0)
+        picture = bars(ratio, low, high, STRESSES, "stresses over uu", (-0.5, 1.0), priors=False)
+        return card(f"Turbulence {self.name}", rows, picture)
 
     @property
     def velocity_scale(self) -> float:
