@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayes_rs.processor import one_thread
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.pair_interpolation import PairSample, interpolate_pairs, pair_features, spread_pairs
 from bayes_rs.theory.pairs import FEW, Pairs
-from bayes_rs.theory.probed import CHUNK, probed_covariance
+from bayes_rs.theory.probed import CHUNK, kept_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
@@ -67,6 +68,11 @@ class _Record:
         """How far the wind goes in a sampling interval, m."""
         return self.wind_speed * self.scan.scan_duration
 
+    @cached_property
+    def shortest(self) -> float:
+        """The shortest probe volume, m; 0 of points."""
+        return float(np.min(self.scan.probe_length, where=self.scan.probe_length > 0.0, initial=np.inf))
+
     def groups(self, index: NDArray[np.int64]) -> list[tuple[int, int, NDArray[np.int64]]]:
         """Return the pairs by their numbers of samples."""
         found, of = np.unique(self.pairs.samples[index], axis=0, return_inverse=True)
@@ -78,7 +84,7 @@ class _Record:
     ) -> FloatArray:
         """Return the covariances of pairs at lags, as they are or as those of points."""
         pairs = self.pairs
-        return probed_covariance(
+        return kept_covariance(
             pairs.first[part],
             pairs.second[part],
             pairs.across[part],
@@ -86,6 +92,7 @@ class _Record:
             self.turbulence,
             probe=self.scan.probe,
             lengths=np.zeros_like(pairs.lengths[part]) if points else pairs.lengths[part],
+            shortest=self.shortest,
             tolerance=tolerance,
         )
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +21,9 @@ _CORE, _CORE_OF_PROBE = 0.01, 0.1  # of L and of the probe: separations below ar
 _FARTHEST = 50.0  # L: nodes of a probe farther out may be left out, since covariances are below 1 % of uu there ...
 _LEAST_WEIGHT = 2e-3  # ... if all of them together weigh less than this
 _LAG_STEP = 0.2  # of the separations at which covariances of probed beams are calculated, in asinh(separation / core)
+_COARSE, _COARSE_LAG_STEP = 1e-3, 0.3  # the same where the tolerance is not below that
+_HALF_STEP = 8  # of the number of those separations on one side
+_MOST_KEPT = 4000  # lines of one turbulence and grid
 
 
 def probed_covariance(
@@ -81,6 +87,115 @@ def probed_covariance(
     """
     if not np.any(lengths > 0.0):
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
+    shortest = float(np.min(lengths[lengths > 0.0]))
+    core = _core(shortest, turbulence)
+    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / _LAG_STEP)) + STENCIL // 2
+    if 2 * half + 1 >= along.shape[1]:
+        return _by_rules(first, second, across, along, turbulence, probe, lengths, tolerance)
+    grid = core * np.sinh(_LAG_STEP * np.arange(-half, half + 1))
+    lines = _by_rules(
+        first, second, across, np.broadcast_to(grid, (len(along), len(grid))), turbulence, probe, lengths, tolerance
+    )
+    return interpolate_rows(lines, np.arcsinh(along / core) / _LAG_STEP + half)
+
+
+def kept_covariance(
+    first: FloatArray,
+    second: FloatArray,
+    across: FloatArray,
+    along: FloatArray,
+    turbulence: MannTurbulence,
+    *,
+    probe: Probe,
+    lengths: FloatArray,
+    shortest: float,
+    tolerance: float = 1e-4,
+) -> FloatArray:
+    """Return what `probed_covariance` does, from lines along the wind that are kept for other wind speeds.
+
+    Parameters
+    ----------
+    first, second, across, along, turbulence, probe, lengths, tolerance
+        As for `probed_covariance`.
+    shortest : float
+        The shortest length above zero of all beams of the scan, m; 0 if all are points.
+
+    Returns
+    -------
+    covariance : ndarray, shape (n, n_lag)
+        m² s⁻².
+
+    Notes
+    -----
+    The covariance of two beams is a function of the separation along the wind; the wind speed says only at which
+    separations it is taken. So it is calculated on one grid, even in asinh(x/core), and interpolated for each wind
+    speed, which costs a few per cent of it. The grid does not depend on what was asked for before, so that numbers do
+    not, either. The kept lines are forgotten by `forget_lines`, and the oldest when there are many.
+    """
+    if not np.any(lengths > 0.0):
+        return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
+    core = _core(shortest, turbulence)
+    step = _LAG_STEP if tolerance < _COARSE else _COARSE_LAG_STEP
+    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / step)) + STENCIL // 2
+    half = _HALF_STEP * -(-half // _HALF_STEP)  # most wind speeds have the same
+    place = np.arcsinh(along / core) / step + half
+    flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
+    kept = _lines(flow, probe, tolerance, core, half)
+    names = [row.tobytes() for row in np.concatenate([first, second, across, lengths], axis=1)]
+    missing = [name not in kept for name in names]
+    if np.any(missing):
+        grid = core * np.sinh(step * np.arange(-half, half + 1))
+        new = np.flatnonzero(missing)
+        lines = _by_rules(
+            first[new],
+            second[new],
+            across[new],
+            np.broadcast_to(grid, (len(new), len(grid))),
+            turbulence,
+            probe,
+            lengths[new],
+            tolerance,
+            shortest=shortest,
+        )
+        if len(kept) + len(new) > _MOST_KEPT:
+            kept.clear()
+        if len(new) == len(names):
+            if len(new) <= _MOST_KEPT:
+                kept.update(zip(names, lines, strict=True))
+            return interpolate_rows(lines, place)
+        found = {names[index]: line for index, line in zip(new.tolist(), lines, strict=True)}
+        kept.update(found)
+    return interpolate_rows(np.array([kept[name] for name in names]), place)
+
+
+def forget_lines() -> None:
+    """Forget the covariances that are kept for other wind speeds."""
+    _lines.cache_clear()
+
+
+@lru_cache(maxsize=64)
+def _lines(_flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int) -> dict[bytes, Any]:
+    """Return the kept lines of one turbulence and grid, by what the pairs of beams are."""
+    return {}
+
+
+def _core(shortest: float, turbulence: MannTurbulence) -> float:
+    return _CORE * turbulence.length_scale + _CORE_OF_PROBE * shortest
+
+
+def _by_rules(
+    first: FloatArray,
+    second: FloatArray,
+    across: FloatArray,
+    along: FloatArray,
+    turbulence: MannTurbulence,
+    probe: Probe,
+    lengths: FloatArray,
+    tolerance: float,
+    *,
+    shortest: float | None = None,
+) -> FloatArray:
+    """Return covariances of beams with probe volumes at given separations, by the rules of their kinds of pairs."""
     facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
     towards = facing * first
     one = np.min(lengths, axis=-1) <= 0.0
@@ -96,35 +211,27 @@ def probed_covariance(
             (~one & ~parallel & ~wide & (fineness == fine), probe.pair_rule(fineness=fine)),
             (wide & (fineness == fine), probe.pair_rule(wide=True, fineness=fine)),
         ]
-    core = _CORE * turbulence.length_scale + _CORE_OF_PROBE * float(np.min(lengths[lengths > 0.0]))
-    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / _LAG_STEP)) + STENCIL // 2
-    sparse = 2 * half + 1 < along.shape[1]
-    grid = core * np.sinh(_LAG_STEP * np.arange(-half, half + 1))
-    out = np.empty(along.shape)
+    n_lag, out = along.shape[1], np.empty(along.shape)
     for members, full_rule in kinds:
         index = np.flatnonzero(members)
         if len(index) == 0:
             continue
-        rule = _within(full_rule, lengths[index], turbulence.length_scale)
-        n_lag, n_node = len(grid) if sparse else along.shape[1], len(rule.weight)
+        rule = _within(full_rule, lengths[index] if shortest is None else np.array([shortest]), turbulence.length_scale)
+        n_node = len(rule.weight)
         for part in np.array_split(index, int(np.ceil(len(index) * n_node * n_lag / CHUNK))):
             a, b = lengths[part, :1] * towards[part], lengths[part, 1:] * second[part]
             shift = rule.difference[:, np.newaxis] * (0.5 * (a + b))[:, np.newaxis]
             shift += rule.mean[:, np.newaxis] * (b - a)[:, np.newaxis]
             rows = np.repeat(part, n_node)
-            x = np.broadcast_to(grid, (len(part), n_lag)) if sparse else along[part]
             covariance = radial_covariance(
                 first[rows],
                 second[rows],
                 (across[part, np.newaxis] + shift[..., 1:]).reshape(-1, 2),
-                (x[:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
+                (along[part][:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
                 turbulence,
                 tolerance=tolerance,
             )
-            summed = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
-            out[part] = (
-                interpolate_rows(summed, np.arcsinh(along[part] / core) / _LAG_STEP + half) if sparse else summed
-            )
+            out[part] = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
     return out
 
 
