@@ -20,7 +20,6 @@ from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.tables import folded, interval, lines, number, table
 
 
-
 @dataclass(frozen=True)
 class CampaignShown:
     """What the page shows of a campaign.

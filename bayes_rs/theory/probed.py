@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,13 +14,13 @@ from bayes_rs.turbulence.two_point import INDEX_PAIRS, radial_covariance, veloci
 CHUNK = 1_500_000
 """Covariances held at a time: some 100 MiB of working arrays."""
 _PARALLEL = 1e-6  # beams at a smaller angle (rad) look along one line
-_CORE, _CORE_OF_PROBE = 0.01, 0.1  # of L and of the probe: separations below are interpolated as evenly as at it
+CORE = 0.01
+"""Of L: separations below are interpolated as evenly as at it."""
+_CORE_OF_PROBE = 0.1  # the same of the probe, added to it
 _FARTHEST = 50.0  # L: nodes of a probe farther out may be left out, since covariances are below 1 % of uu there ...
 _LEAST_WEIGHT = 2e-3  # ... if all of them together weigh less than this
-_LAG_STEP = 0.2  # of the separations at which covariances of probed beams are calculated, in asinh(separation / core)
-_COARSE, _COARSE_LAG_STEP = 1e-3, 0.3  # the same where the tolerance is not below that
-_HALF_STEP = 8  # of the number of those separations on one side
-_MOST_KEPT = 4000  # lines of one turbulence and grid
+LAG_STEP = 0.2
+"""Step of the separations at which covariances of probed beams are calculated, in asinh(separation / core)."""
 
 
 def probed_covariance(
@@ -87,103 +84,52 @@ def probed_covariance(
     """
     if not np.any(lengths > 0.0):
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
-    shortest = float(np.min(lengths[lengths > 0.0]))
-    core = _core(shortest, turbulence)
-    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / _LAG_STEP)) + STENCIL // 2
+    core = grid_core(shortest_length(lengths), turbulence)
+    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / LAG_STEP)) + STENCIL // 2
     if 2 * half + 1 >= along.shape[1]:
-        return _by_rules(first, second, across, along, turbulence, probe, lengths, tolerance)
-    grid = core * np.sinh(_LAG_STEP * np.arange(-half, half + 1))
-    lines = _by_rules(
+        return by_rules(first, second, across, along, turbulence, probe, lengths, tolerance)
+    grid = core * np.sinh(LAG_STEP * np.arange(-half, half + 1))
+    lines = by_rules(
         first, second, across, np.broadcast_to(grid, (len(along), len(grid))), turbulence, probe, lengths, tolerance
     )
-    return interpolate_rows(lines, np.arcsinh(along / core) / _LAG_STEP + half)
+    return interpolate_rows(lines, np.arcsinh(along / core) / LAG_STEP + half)
 
 
-def kept_covariance(
-    first: FloatArray,
-    second: FloatArray,
-    across: FloatArray,
-    along: FloatArray,
-    turbulence: MannTurbulence,
-    *,
-    probe: Probe,
-    lengths: FloatArray,
-    shortest: float,
-    tolerance: float = 1e-4,
-) -> FloatArray:
-    """Return what `probed_covariance` does, from lines along the wind that are kept for other wind speeds.
+def shortest_length(lengths: FloatArray) -> float:
+    """Return the shortest of some probe volumes, m, points left out; 0 if all are points.
 
     Parameters
     ----------
-    first, second, across, along, turbulence, probe, lengths, tolerance
-        As for `probed_covariance`.
-    shortest : float
-        The shortest length above zero of all beams of the scan, m; 0 if all are points.
+    lengths : ndarray
+        `Probe.length` of the beams, m.
 
     Returns
     -------
-    covariance : ndarray, shape (n, n_lag)
-        m² s⁻².
-
-    Notes
-    -----
-    The covariance of two beams is a function of the separation along the wind; the wind speed says only at which
-    separations it is taken. So it is calculated on one grid, even in asinh(x/core), and interpolated for each wind
-    speed, which costs a few per cent of it. The grid does not depend on what was asked for before, so that numbers do
-    not, either. The kept lines are forgotten by `forget_lines`, and the oldest when there are many.
+    shortest : float
+        In metres.
     """
-    if not np.any(lengths > 0.0):
-        return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
-    core = _core(shortest, turbulence)
-    step = _LAG_STEP if tolerance < _COARSE else _COARSE_LAG_STEP
-    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / step)) + STENCIL // 2
-    half = _HALF_STEP * -(-half // _HALF_STEP)  # most wind speeds have the same
-    place = np.arcsinh(along / core) / step + half
-    flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
-    kept = _lines(flow, probe, tolerance, core, half)
-    names = [row.tobytes() for row in np.concatenate([first, second, across, lengths], axis=1)]
-    missing = [name not in kept for name in names]
-    if np.any(missing):
-        grid = core * np.sinh(step * np.arange(-half, half + 1))
-        new = np.flatnonzero(missing)
-        lines = _by_rules(
-            first[new],
-            second[new],
-            across[new],
-            np.broadcast_to(grid, (len(new), len(grid))),
-            turbulence,
-            probe,
-            lengths[new],
-            tolerance,
-            shortest=shortest,
-        )
-        if len(kept) + len(new) > _MOST_KEPT:
-            kept.clear()
-        if len(new) == len(names):
-            if len(new) <= _MOST_KEPT:
-                kept.update(zip(names, lines, strict=True))
-            return interpolate_rows(lines, place)
-        found = {names[index]: line for index, line in zip(new.tolist(), lines, strict=True)}
-        kept.update(found)
-    return interpolate_rows(np.array([kept[name] for name in names]), place)
+    return float(np.min(lengths[lengths > 0.0], initial=np.inf)) if np.any(lengths > 0.0) else 0.0
 
 
-def forget_lines() -> None:
-    """Forget the covariances that are kept for other wind speeds."""
-    _lines.cache_clear()
+def grid_core(shortest: float, turbulence: MannTurbulence) -> float:
+    """Return the separation below which those of the grid along the wind are even.
+
+    Parameters
+    ----------
+    shortest : float
+        The shortest probe volume, m.
+    turbulence : MannTurbulence
+        The turbulence.
+
+    Returns
+    -------
+    core : float
+        In metres.
+    """
+    return CORE * turbulence.length_scale + _CORE_OF_PROBE * shortest
 
 
-@lru_cache(maxsize=64)
-def _lines(_flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int) -> dict[bytes, Any]:
-    """Return the kept lines of one turbulence and grid, by what the pairs of beams are."""
-    return {}
-
-
-def _core(shortest: float, turbulence: MannTurbulence) -> float:
-    return _CORE * turbulence.length_scale + _CORE_OF_PROBE * shortest
-
-
-def _by_rules(
+def by_rules(
     first: FloatArray,
     second: FloatArray,
     across: FloatArray,
@@ -195,7 +141,20 @@ def _by_rules(
     *,
     shortest: float | None = None,
 ) -> FloatArray:
-    """Return covariances of beams with probe volumes at given separations, by the rules of their kinds of pairs."""
+    """Return the covariances of beams with probe volumes by the rules of their kinds of pairs.
+
+    Parameters
+    ----------
+    first, second, across, along, turbulence, probe, lengths, tolerance
+        As for `probed_covariance`; each separation is calculated.
+    shortest : float, optional
+        The shortest probe volume that decides which far nodes are left out, m; by default that of each kind of pairs.
+
+    Returns
+    -------
+    covariance : ndarray, shape (n, n_lag)
+        m² s⁻².
+    """
     facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
     towards = facing * first
     one = np.min(lengths, axis=-1) <= 0.0
