@@ -127,7 +127,7 @@ def _of_points(
     half = _HALF_STEP * -(-half // _HALF_STEP)
     which = hashlib.blake2b(repr((turbulence, tolerance, half)).encode())
     for part in (first, second, across):
-        which.update(np.ascontiguousarray(part))
+        which.update(part.tobytes())
     name = which.digest()
     if name not in kept:
         grid = np.broadcast_to(core * np.sinh(step * np.arange(-half, half + 1)), (len(first), 2 * half + 1))

@@ -95,7 +95,8 @@ def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int6
 def _fingerprints(table: FloatArray) -> NDArray[np.uint64]:
     """Return a number for each row, the same for rows that agree to `_SAME`; others share one once in 10¹⁹ pairs."""
     whole = np.round(table / _SAME).astype(np.int64).view(np.uint64)
-    factors = np.random.default_rng(_SEED).integers(0, 2**63, whole.shape[1], dtype=np.uint64) * 2 + 1
+    odd = 2 * np.random.default_rng(_SEED).integers(0, 2**63, whole.shape[1], dtype=np.uint64) + 1
+    factors = np.asarray(odd, dtype=np.uint64)
     mixed = np.zeros(len(whole), dtype=np.uint64)
     for column, factor in zip(whole.T, factors, strict=True):
         mixed = (mixed ^ (column * factor)) * factor
