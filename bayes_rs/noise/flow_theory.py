@@ -16,7 +16,23 @@ from bayes_rs.turbulence.mann import MannTurbulence
 
 
 class FlowTheory:
-    """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
+    """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once.
+
+    Parameters
+    ----------
+    scan : Scan
+        The scan.
+    turbulence : MannTurbulence
+        The turbulence, but for L and Γ.
+    duration : float
+        Length of a record, s.
+    progress : bool or None
+        Show a progress bar; by default if stderr is a terminal.
+    sonic : bool
+        Add the joint moments with a sonic.
+    turn : Turn, optional
+        That turns the scan into itself.
+    """
 
     def __init__(
         self,
