@@ -53,6 +53,7 @@ SCENES = {
     "long pulse": (load_scan("wls200s-dbs"), {"yaw": 0.6}, 61.0),
     "continuous wave": (replace(load_scan("6-beam"), probe=CW), {"yaw": -0.2}, 15.0),
     "linear": (replace(load_scan("4-beam"), probe=PULSE), {"detrend": "linear"}, 61.0),
+    "planes": (replace(load_scan("2-beam-planes").select(np.arange(0, 6)), probe=CW), {}, 61.0),
     "many beams": (load_scan("zx-tm").select(np.arange(0, 50, 4)), {}, 61.0),
 }
 
