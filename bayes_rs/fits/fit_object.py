@@ -23,7 +23,7 @@ from bayes_rs.fits.groups import GROUPS, attributes, group_of
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
-from bayes_rs.fits.words import DESCRIBED, describe, failure_lines, flag_lines, least_seen
+from bayes_rs.fits.words import DESCRIBED, describe, error_lines, failure_lines, flag_lines, least_seen
 
 if TYPE_CHECKING:
     from bayes_rs.priors.campaign import CampaignPrior
@@ -340,8 +340,12 @@ class Fit(FitData):
 
     @property
     def remarks(self) -> list[str]:
-        """One line for each flag that some record has: how many have it, and the first; then what beams disagree."""
-        return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", [])]
+        """One line for each flag that some record has, how many have it and the first; what beams disagree; and
+        whether the Monte-Carlo error that was asked for is reached.
+        """
+        asked = self.settings["fit"]["monte_carlo_error"]
+        reached = [] if asked is None else error_lines(asked, self.of_records("mc_error")["mc_error"])
+        return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", []), *reached]
 
 
 def exported_summary(fit: Fit) -> pd.DataFrame:

@@ -39,7 +39,7 @@ FLAG_MEANINGS = {
     "no_wind": "no wind speed or direction; not fitted",
     "beam_left_out": "at least one beam is not used",
     "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
-    "short_chain": "some stress has fewer effective draws than asked for",
+    "short_chain": "some stress has fewer effective draws, or a number a larger Monte-Carlo error, than asked for",
     "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
     "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
     "not_stationary": "the record has a trend, or its parts differ",

@@ -93,7 +93,7 @@ def summarize_draws(
     low, high = diagnostics.interval_of_ordered(ordered, prob)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
     sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
-    half, below = np.full(mean.shape, 0.5), np.full(mean.shape, 0.5 * (1.0 - prob))
+    below = 0.5 * (1.0 - prob)
     return {
         "mean": mean,
         "sd": sd,
@@ -103,7 +103,7 @@ def summarize_draws(
         **_of_record(known or {}, names, n_record),
         "mcse_mean": sd / np.sqrt(bulk),
         "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
-        "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
+        "mcse_median": diagnostics.quantile_error(ordered, 0.5, bulk),
         "mcse_low": diagnostics.quantile_error(ordered, below, tail),
         "mcse_high": diagnostics.quantile_error(ordered, 1.0 - below, tail),
         **diagnosed,
