@@ -41,7 +41,7 @@ FLAG_MEANINGS = {
     "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
     "short_chain": "some stress has fewer effective draws, or a number a larger Monte-Carlo error, than asked for",
     "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
-    "weights_uneven": "Pareto k above its limit, or hardly a proposal accepted: the weights of the draws are too uneven",
+    "weights_uneven": "Pareto k above its limit, or few proposals accepted: the weights of the draws are too uneven",
     "not_stationary": "the record has a trend, or its parts differ",
     "low_wind": "the mean wind is below the limit of the record checks",
     "excluded": "taken out by a rule of quality; not fitted",
