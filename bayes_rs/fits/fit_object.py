@@ -343,7 +343,7 @@ class Fit(FitData):
         """One line for each flag that some record has, how many have it and the first; what beams disagree; and
         whether the Monte-Carlo error that was asked for is reached.
         """
-        asked = self.settings["fit"]["monte_carlo_error"]
+        asked = self.settings["fit"].get("monte_carlo_error")
         reached = [] if asked is None else error_lines(asked, self.of_records("mc_error")["mc_error"])
         return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", []), *reached]
 

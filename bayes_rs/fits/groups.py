@@ -143,7 +143,7 @@ def attributes(fit: FitData) -> dict[str, Any]:
         clipped = {"sonic_clipped": float(np.nanmax(values)) if np.isfinite(values).any() else 0.0}
     return {
         **{name: own[name] for name in ("target", "sampler", "likelihood", "instrument_noise", "seed", "target_ess")},
-        **({} if own["monte_carlo_error"] is None else {"monte_carlo_error": own["monte_carlo_error"]}),
+        **({} if own.get("monte_carlo_error") is None else {"monte_carlo_error": own["monte_carlo_error"]}),
         "nuisances": run["nuisances"],
         "n_outside_noise": fit.flags["outside_noise"],
         **clipped,
