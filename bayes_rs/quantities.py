@@ -106,6 +106,7 @@ LIMITS: dict[str, Limits] = {
     "n_beams": Limits(1, 10_000),
     "target_ess": Limits(1, 10**5, "1000 is usual"),
     "max_extension": Limits(0, 16, "5 is usual"),
+    "monte_carlo_error": Limits(1e-3, 1.0, "0.02 to 0.05 are usual"),
     "despike_window": Limits(3, 1001, "11 is usual"),
     "blade_window": Limits(3, 1001, "11 is usual"),
     "sub_records": Limits(4, 1000, "6 is usual"),

@@ -107,6 +107,7 @@ SAMPLES = {
         "likelihood": Sample("mine"),  # a likelihood of the user's own, which the tests register
         "target_ess": one("--ess", 150),
         "max_extension": one("--max-extension", 3),
+        "monte_carlo_error": one("--monte-carlo-error", 0.04),
         "instrument_noise": one("--instrument-noise", 0.02),
         "nuisances": Sample(Nuisances(inflation=1.5)),
         "prob": one("--prob", 0.5),

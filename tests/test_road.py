@@ -234,6 +234,7 @@ OPTION_CASES = {
     "likelihood": ({}, {"likelihood": "gamma"}),
     "target_ess": ({}, {"target_ess": 5000}),
     "max_extension": ({"target_ess": 1500, "prior": "flat"}, {"max_extension": 0}),
+    "monte_carlo_error": ({}, {"monte_carlo_error": 0.05}),
     "instrument_noise": ({}, {"instrument_noise": 0.05}),
     "nuisances": ({}, {"nuisances": Nuisances(tilt_sd_deg=3.0)}),
     "prob": ({}, {"prob": 0.5}),

@@ -54,7 +54,9 @@ def fit_of(stress, *, wind_speed=10.0):
     draws = pd.DataFrame((size * stress[:, None]).reshape(-1, 6), columns=list(STRESSES))
     tables = {
         "draws": draws.assign(record=np.repeat(number, n_chain * n_draw)),
-        "posterior": pd.DataFrame({"record": number, "time": np.datetime64("NaT", "ns"), "flag_bits": 0}),
+        "posterior": pd.DataFrame({"record": number, "time": np.datetime64("NaT", "ns"), "flag_bits": 0}).assign(
+            n_draw=float(n_chain * n_draw)
+        ),
         "summary": pd.DataFrame(
             {"record": np.repeat(number, 6), "stress": [*STRESSES] * n_record, "ess_bulk": 1.0, "ess_tail": 1.0}
         ).assign(r_hat=1.0, decided=0.5, least_squares=np.nan, least_squares_se=np.nan),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,6 +153,21 @@ class RecordDraws:
     predicted: FloatArray
     outside: NDArray[np.bool_]
     clipped: FloatArray
+
+    def take(self, records: NDArray[np.int64]) -> RecordDraws:
+        """Return the draws of some of the records."""
+        return join_draws([self], records)
+
+    def thinned(self, n_draw: int) -> RecordDraws:
+        """Return so many draws of each chain, whole blocks of them; what is said of the draws stays that of all."""
+        n_block = self.chains.stress.shape[2] // BLOCK
+        block = np.arange(n_draw // BLOCK) * n_block // (n_draw // BLOCK)
+        draw = (block[:, None] * BLOCK + np.arange(BLOCK)).ravel()
+        chains = replace(
+            self.chains, coordinate=self.chains.coordinate[:, :, draw], stress=self.chains.stress[:, :, draw]
+        )
+        nuisances = {name: values[:, :, draw] for name, values in self.nuisances.items()}
+        return replace(self, chains=chains, nuisances=nuisances, predicted=self.predicted[:, :, block])
 
 
 def fit_batch(batch: Batch, noise: Noise, options: FitOptions, *, predict: bool = True) -> RecordDraws:

@@ -17,6 +17,8 @@ PER_RECORD = (
     "stresses_learnt",
     "acceptance_rate",
     "n_step",
+    "n_draw",
+    "mc_error",
     "pareto_k",
     "misfit",
     "beams_probability",

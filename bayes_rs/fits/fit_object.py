@@ -33,7 +33,7 @@ from bayes_rs.fits.headline import Headline, headline_of
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
-from bayes_rs.fits.words import DESCRIBED, describe, failure_lines, flag_lines, least_seen
+from bayes_rs.fits.words import DESCRIBED, describe, error_lines, failure_lines, flag_lines, least_seen
 from bayes_rs.intervals import INTERVALS
 
 if TYPE_CHECKING:
@@ -409,8 +409,12 @@ class Fit(FitData):
 
     @property
     def remarks(self) -> list[str]:
-        """One line for each flag that some record has: how many have it, and the first; then what beams disagree."""
-        return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", [])]
+        """One line for each flag that some record has, how many have it and the first; what beams disagree; and
+        whether the Monte-Carlo error that was asked for is reached.
+        """
+        asked = self.settings["fit"].get("monte_carlo_error")
+        reached = [] if asked is None else error_lines(asked, self.of_records("mc_error")["mc_error"])
+        return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", []), *reached]
 
 
 def exported_summary(fit: Fit) -> pd.DataFrame:

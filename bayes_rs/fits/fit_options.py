@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs._validation import check_choice, check_count, check_finite, check_non_negative, check_prob, check_seed
+from bayes_rs._validation import (
+    check_choice,
+    check_count,
+    check_finite,
+    check_non_negative,
+    check_positive,
+    check_prob,
+    check_seed,
+)
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.derived import check_derived
 from bayes_rs.intervals import EQUAL_TAILED, INTERVALS
@@ -62,8 +70,8 @@ class FitOptions:
     ``"emcee"`` is one ensemble for many records, driven by proposals that are fitted to each; ``"direct"`` draws
     independently from such proposals, weights and resamples; ``"auto"`` is direct, and emcee for the records whose
     weights are too uneven for that. All give the same posterior. A chain that still misses the target effective sample
-    size after `max_extension` doublings is flagged. Beams whose variance is below half of the noise that records hold
-    or tell are left out and flagged.
+    size, or the `monte_carlo_error` that is asked for, after `max_extension` doublings is flagged. Beams whose variance
+    is below half of the noise that records hold or tell are left out and flagged.
 
     Examples
     --------
@@ -94,6 +102,11 @@ class FitOptions:
     )
     target_ess: int = option(1000, "Bulk effective sample size that every stress should reach", flag="--ess")
     max_extension: int = option(5, "How often a chain that is too short may be doubled")
+    monte_carlo_error: float | None = option(
+        None,
+        "Largest Monte-Carlo standard error of the mean, median and ends of the interval of every stress, over its "
+        "posterior sd; records that have not reached it get more draws. By default all get what target_ess asks for",
+    )
     instrument_noise: float | str = option(
         "records",
         "Variance that the instrument adds to each radial variance; or records, for each record's own: what it holds, "
@@ -152,6 +165,8 @@ class FitOptions:
             check_choice(self.likelihood, tuple(LIKELIHOODS), what="likelihood")
         check_count(self.target_ess, what="target_ess")
         check_count(self.max_extension, what="max_extension", minimum=0)
+        if self.monte_carlo_error is not None:
+            check_positive(self.monte_carlo_error, what="monte_carlo_error", unit="")
         check_choice(self.draws, DRAWS, what="draws")
         check_choice(self.scatter, SCATTERS, what="scatter")
         if not 0.0 <= check_finite(self.unsteady_level, what="unsteady_level", unit="") < 1.0:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, PARETO_K_LIMIT, R_HAT_LIMIT
+from bayes_rs.posteriors.sampling.chains import DRIFT_LIMIT, R_HAT_LIMIT
 
 if TYPE_CHECKING:
     from bayes_rs.fits.batch import RecordDraws
@@ -43,9 +43,9 @@ FLAG_MEANINGS = {
     "no_wind": "no wind speed or direction; not fitted",
     "beam_left_out": "at least one beam is not used",
     "yaw_not_seen": "the beams cannot tell the wind direction; that of the scan is used",
-    "short_chain": "some stress has fewer effective draws than asked for",
+    "short_chain": "some stress has fewer effective draws, or a number a larger Monte-Carlo error, than asked for",
     "ensembles_differ": "R-hat above its limit: the ensembles do not agree",
-    "weights_uneven": "Pareto k above its limit: the weights of the draws are too uneven",
+    "weights_uneven": "Pareto k above its limit, or few proposals accepted: the weights of the draws are too uneven",
     "not_stationary": "the record has a trend, or its parts differ",
     "low_wind": "the mean wind is below the limit of the record checks",
     "excluded": "taken out by a rule of quality; not fitted",
@@ -130,6 +130,6 @@ def flags_after(draws: RecordDraws, target_ess: int) -> NDArray[np.int64]:
     flag = np.zeros(len(chains.stress), dtype=np.int64)
     flag[~(chains.ess_bulk.min(axis=1) >= target_ess)] |= FLAGS["short_chain"]
     flag[~(chains.r_hat.max(axis=1) <= R_HAT_LIMIT) | (chains.drift > DRIFT_LIMIT)] |= FLAGS["ensembles_differ"]
-    flag[chains.pareto_k > PARETO_K_LIMIT] |= FLAGS["weights_uneven"]
+    flag[chains.uneven()] |= FLAGS["weights_uneven"]
     flag[draws.outside] |= FLAGS["outside_noise"]
     return flag

@@ -24,6 +24,8 @@ _UNIT = {"units": "m2 s-2"}
 _PER_RECORD = {
     "acceptance_rate": "",
     "n_step": "",
+    "n_draw": "",
+    "mc_error": "posterior standard deviations",
     "pareto_k": "",
     "misfit": "standard deviations",
     "beams_probability": "",
@@ -219,6 +221,7 @@ def attributes(fit: FitData) -> dict[str, Any]:
         clipped = {"sonic_clipped": float(np.nanmax(values)) if np.isfinite(values).any() else 0.0}
     return {
         **{name: own[name] for name in ("target", "sampler", "likelihood", "instrument_noise", "seed", "target_ess")},
+        **({} if own.get("monte_carlo_error") is None else {"monte_carlo_error": own["monte_carlo_error"]}),
         "nuisances": run["nuisances"],
         "n_outside_noise": fit.flags["outside_noise"],
         **clipped,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from bayes_rs.fits.direction_table import contraction_along, covariance_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
 from bayes_rs.fits.least_squares_beside import least_squares_of
+from bayes_rs.fits.more_draws import by_size, monte_carlo_error, times_the_draws, with_draws
 from bayes_rs.fits.prepare import can_be_fitted
 from bayes_rs.fits.summarizing import summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
@@ -117,8 +118,8 @@ def fit_part(shared: Shared, part: Part) -> Done:
         some, draws = _fit_those_that_can(part.batch, wanted, shared, reasons)
         flag[np.setdiff1d(wanted, some)] |= FLAGS["likelihood_failed"]
         if draws is not None:
-            flag[some] |= flags_after(draws, shared.options.target_ess)
-            _put(found, some, draws, part.batch, shared)
+            after, draws = _to_error(found, some, draws, part.batch, shared)
+            flag[some] |= after
             if shared.keep_draws:
                 kept.append((part.record[some], draws))
         note_done(len(wanted))
@@ -164,8 +165,42 @@ class _Columns:
             where.setdefault(name, np.full((self.n_record, *some.shape[1:]), np.nan))[rows] = some
 
 
-def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared) -> None:
-    """Enter what the draws of some records tell."""
+def _to_error(
+    found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared
+) -> tuple[NDArray[np.int64], RecordDraws]:
+    """Enter what the draws of some records tell, and make more of those whose numbers are not as precise as asked.
+
+    Returns the flags of the records and their draws, as many of each as there were before. Draws that are made are all
+    of one run, whose number was fixed before it: none is added to those that chose it.
+    """
+    n_draw, size = draws.chains.stress.shape[2], batch_size(len(shared.beam))
+    times = np.ones(len(rows))
+    error = _put(found, rows, draws, batch, shared)
+    flag = flags_after(draws, shared.options.target_ess)
+    while np.any((needed := times_the_draws(error, times, shared.options)) > times):
+        for more, places in by_size(needed, times):
+            together, wanted = max(1, int(size / more)), replace(shared, options=with_draws(shared.options, more))
+            for first in range(0, len(places), together):
+                some = places[first : first + together]
+                # what could be fitted once can be again; else it keeps the draws that it has
+                fitted, again = _fit_those_that_can(batch, rows[some], wanted, [])
+                if again is None:
+                    continue
+                some = some[np.isin(rows[some], fitted)]
+                error[some] = _put(found, fitted, again, batch, shared)
+                flag[some] = flags_after(again, shared.options.target_ess)
+                if shared.keep_draws:
+                    others = np.setdiff1d(np.arange(len(rows)), some)
+                    order = np.argsort(np.concatenate([others, some]))
+                    draws = join_draws([draws.take(others), again.thinned(n_draw)], order)
+        times = needed
+    if shared.options.monte_carlo_error is not None:
+        flag[~(error <= shared.options.monte_carlo_error)] |= FLAGS["short_chain"]
+    return flag, draws
+
+
+def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared) -> FloatArray:
+    """Enter what the draws of some records tell; return the error of their numbers, as `monte_carlo_error`."""
     chains = draws.chains
     decided, learnt = what_data_decided(chains.stress, shared.room)
     beside, error = least_squares_of(batch.take(rows), shared.level, shared.noise, shared.options)
@@ -177,18 +212,12 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         "least_squares": beside,
         "least_squares_se": error,
     }
-    found.put(
-        found.summary,
-        rows,
-        summarize_draws(
-            chains.stress,
-            shared.options.derived,
-            batch.wind_speed[rows],
-            shared.options.prob,
-            shared.options.interval,
-            known,
-        ),
+    options = shared.options
+    summary = summarize_draws(
+        chains.stress, options.derived, batch.wind_speed[rows], options.prob, options.interval, known
     )
+    found.put(found.summary, rows, summary)
+    error = monte_carlo_error(summary)
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
     matrix = covariance_of(flat, ddof=1)
     along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
@@ -196,6 +225,8 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         "stresses_learnt": learnt,
         "acceptance_rate": chains.acceptance,
         "n_step": chains.n_step.astype(np.float64),
+        "n_draw": np.full(len(rows), float(flat.shape[1])),
+        "mc_error": error,
         "pareto_k": chains.pareto_k,
         "sonic_clipped": draws.clipped,
         **{name: matrix[:, i, j] for name, (i, j) in zip(COVARIANCES, PAIRS, strict=True)},
@@ -206,6 +237,7 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     found.put(found.numbers, rows, numbers)
     found.sampler[rows] = chains.sampler
     found.outside[rows] = draws.outside
+    return error
 
 
 def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd.DataFrame:

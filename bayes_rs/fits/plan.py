@@ -21,6 +21,7 @@ from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.direction_table import prior_covariances, scan_directions
 from bayes_rs.fits.fit_options import MOST_KEPT, FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_before
+from bayes_rs.fits.more_draws import expected_times, most_draws
 from bayes_rs.fits.noise_choice import about_probe
 from bayes_rs.fits.parts import Part, Shared, batch_size, n_kept
 from bayes_rs.fits.prepare import can_be_fitted, prepare
@@ -189,12 +190,12 @@ def check_draws(n_record: int, n_beam: int, options: FitOptions, *, in_folder: b
         If there are too many.
     """
     n_byte = 48.0 * N_CHAIN * n_kept(options)  # of a record: six stresses of each draw
-    together = min(n_record, batch_size(n_beam))
+    together = max(min(n_record, batch_size(n_beam)), 1.0 if options.monte_carlo_error is None else most_draws(options))
     kept = n_record if options.keeps_draws(n_record) and (n_record <= MOST_KEPT or not in_folder) else together
     what = f"The draws of {n_record} records with target_ess {options.target_ess}"
     advice = "choose a smaller target_ess (--ess), 1000 is usual, or keep no draws (--draws none)."
     check_size(what, n_byte * (_COPIES_SAMPLED * together + _COPIES_KEPT * kept), advice)
-    check_work(what, _SECONDS_A_DRAW * n_record * N_CHAIN * n_kept(options), advice)
+    check_work(what, _SECONDS_A_DRAW * n_record * N_CHAIN * n_kept(options) * expected_times(options), advice)
 
 
 def plain_options(options: FitOptions) -> dict[str, Any]:

@@ -99,7 +99,6 @@ def summarize_draws(
     below, above = interval_levels(ordered, prob, interval)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
     sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
-    half = np.full(mean.shape, 0.5)
     return {
         "mean": mean,
         "sd": sd,
@@ -109,7 +108,7 @@ def summarize_draws(
         **_of_record(known or {}, names, n_record),
         "mcse_mean": sd / np.sqrt(bulk),
         "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
-        "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
+        "mcse_median": diagnostics.quantile_error(ordered, 0.5, bulk),
         "mcse_low": diagnostics.quantile_error(ordered, below, tail),
         "mcse_high": diagnostics.quantile_error(ordered, above, tail),
         **diagnosed,

@@ -32,6 +32,9 @@ def summarize(fit: FitData, prob: float, interval: str, derived: Sequence[str], 
         name: stresses[name].to_numpy(dtype=np.float64).reshape(fit.n_record, len(STRESSES))
         for name in (*DIAGNOSTICS, *OF_RECORD)
     }
+    # what is known is of all draws of a record, of which those that were kept are a part
+    share = fit.run["n_chain"] * fit.run["n_draw"] / fit.of_records("n_draw")["n_draw"]
+    known |= {name: known[name] * share[:, None] for name in ("ess_bulk", "ess_tail")}
     wind_speed = np.asarray(records["wind_speed"].values, dtype=np.float64)
     columns: dict[str, FloatArray] = {}
     for rows, stress in fit.batches():

@@ -59,6 +59,28 @@ def failure_lines(flags: NDArray[np.int64], time: NDArray[np.datetime64]) -> lis
     return lines
 
 
+def error_lines(asked: float | None, error: FloatArray) -> list[str]:
+    """Say whether the Monte-Carlo error that was asked for is reached.
+
+    Parameters
+    ----------
+    asked : float or None
+        The option ``monte_carlo_error``.
+    error : ndarray, shape (n_record,)
+        Column ``mc_error`` of the table ``posterior``; NaN where a record was not fitted.
+
+    Returns
+    -------
+    lines : list of str
+        One line; none if no error was asked for, or no record was fitted.
+    """
+    known = error[np.isfinite(error)]
+    if asked is None or not len(known):
+        return []
+    reached = f"reached in {np.count_nonzero(known <= asked)} of {len(known)} records"
+    return [f"Monte-Carlo error of {asked:g} posterior sd asked for: {reached}, the largest is {known.max():.2g}"]
+
+
 def least_seen(table: pd.DataFrame) -> list[str]:
     """Say along which direction of R the scan sees least, and how far the posterior contracted there.
 

@@ -187,30 +187,47 @@ def _windowed_time(covariance: FloatArray, window: float) -> tuple[FloatArray, N
     return np.take_along_axis(times, cut[..., None], axis=-1)[..., 0], np.asarray(closed)
 
 
-def quantile_error(ordered: FloatArray, level: FloatArray, ess: FloatArray) -> FloatArray:
-    """Return the Monte-Carlo standard error of quantiles.
+def quantile_error(ordered: FloatArray, level: float | FloatArray, ess: FloatArray) -> FloatArray:
+    r"""Return the Monte-Carlo standard error of a quantile.
 
     Parameters
     ----------
     ordered : ndarray, shape (..., n_draw)
         Draws, smallest first.
-    level : ndarray, shape (...)
-        Probabilities of the quantiles.
+    level : float or ndarray, shape (...)
+        Probability p of the quantile.
     ess : ndarray, shape (...)
-        Effective sample size.
+        Effective sample size n.
 
     Returns
     -------
     error : ndarray, shape (...)
-        Half the distance of the draws that are one binomial standard deviation, √(p (1 − p)/n), to both sides of the
-        level.
+        NaN where the effective sample size is.
+
+    Notes
+    -----
+    The error is √(p (1 − p)/n) over the density, and one over the density is (Q(p + h) − Q(p − h))/2h. The window h is
+    that with the least error of it for a normal distribution (Bofinger 1975),
+
+    .. math:: h = \left( \frac{9 \varphi(z)^4}{2 n (2 z^2 + 1)^2} \right)^{1/5} ,
+
+    with z the normal quantile of p and φ(z) its density; but at least one binomial standard deviation, √(p (1 − p)/n).
+    Of that alone, as is usual, the error would scatter twice as much.
+
+    References
+    ----------
+    Bofinger (1975), Austral. J. Statist. 17, 1–7, doi:10.1111/j.1467-842X.1975.tb01366.x.
     """
-    spread = np.sqrt(np.maximum(level * (1.0 - level), 0.0) / ess)
+    z = scipy.special.ndtri(level)
+    density = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+    known = np.isfinite(ess)
+    size = np.where(known, ess, 1.0)
+    spread = np.sqrt(level * (1.0 - level) / size)
+    window = np.maximum((4.5 * density**4 / (size * (2.0 * z * z + 1.0) ** 2)) ** 0.2, spread)
     last = ordered.shape[-1] - 1
-    spread = np.where(np.isfinite(spread), spread, 0.0)
-    at = [np.rint(np.clip(level + side * spread, 0.0, 1.0) * last).astype(np.int64) for side in (-1.0, 1.0)]
-    ends = [np.take_along_axis(ordered, place[..., None], axis=-1)[..., 0] for place in at]
-    return np.where(np.isfinite(ess), 0.5 * (ends[1] - ends[0]), np.nan)
+    low, high = (np.rint(np.clip(level + side * window, 0.0, 1.0) * last).astype(np.int64) for side in (-1.0, 1.0))
+    apart = np.subtract(*(np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (high, low)))
+    return np.where(known, spread * apart * last / np.maximum(high - low, 1), np.nan)
 
 
 _FEW_LAGS = 16

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_rs.posteriors.posterior import Posterior
-from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, Chains
+from bayes_rs.posteriors.sampling.chains import Chains
 from bayes_rs.posteriors.sampling.direct import sample_direct
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.ensemble import sample_emcee
@@ -21,6 +21,6 @@ def sample_auto(posterior: Posterior, *, streams: RecordStreams, effort: Effort)
     left = np.flatnonzero(chains.missed(effort.target_ess))
     if len(left):
         again = sample_emcee(posterior.take(left), streams=streams.take(left), effort=effort)
-        better = np.flatnonzero(~again.missed(effort.target_ess) | ~(chains.pareto_k[left] <= PARETO_K_LIMIT))
+        better = np.flatnonzero(~again.missed(effort.target_ess) | chains.uneven()[left])
         chains.put(left[better], again.take(better))
     return chains

@@ -18,6 +18,9 @@ R_HAT_LIMIT = 1.05
 """Ensembles of a record that differ by more than this have not found the same posterior."""
 PARETO_K_LIMIT = 0.7
 """Importance weights with a heavier tail than this cannot be trusted (Vehtari et al. 2024)."""
+LEAST_ACCEPTANCE = 0.18
+"""Where less of what is proposed is accepted, or effective, proposals do not cover the posterior, and no tail of the
+weights that were seen tells of what was not: measured on thin, bent posteriors, whose Pareto k passes."""
 DRIFT_LIMIT = 5.0
 """Early and late steps that differ by more standard errors than this: the start was not the posterior."""
 BLOCK = 16
@@ -70,9 +73,14 @@ class Chains:
         return np.asarray(
             ~(self.ess_bulk.min(axis=1) >= target_ess)
             | ~(self.r_hat.max(axis=1) <= R_HAT_LIMIT)
-            | (self.pareto_k > PARETO_K_LIMIT)
+            | self.uneven()
             | (self.drift > DRIFT_LIMIT)
         )
+
+    def uneven(self) -> NDArray[np.bool_]:
+        """Tell which records have weights, or a start from weights, that cannot be trusted, shape (n_record,)."""
+        weighted = np.isfinite(self.pareto_k)
+        return np.asarray((self.pareto_k > PARETO_K_LIMIT) | (weighted & (self.acceptance < LEAST_ACCEPTANCE)))
 
     def put_draws(self, records: NDArray[np.int64], coordinate: FloatArray, stress: FloatArray) -> None:
         """Enter draws of some records, (n, n_draw, k) and (n, n_draw, 6), chain after chain."""
