@@ -51,7 +51,14 @@ class Scene:
 
     @classmethod
     def at(
-        cls, scan: Scan, flow: MannTurbulence, *, wind_speed: float, duration: float, target: str = "record"
+        cls,
+        scan: Scan,
+        flow: MannTurbulence,
+        *,
+        wind_speed: float,
+        duration: float,
+        target: str = "record",
+        tolerance: float = 1e-4,
     ) -> Scene:
         """Return the scene of a scan in a flow, whose noise is made by theory.
 
@@ -63,14 +70,16 @@ class Scene:
             Mean wind speed, m/s.
         duration : float
             Length of a record, s.
+        tolerance : float
+            Largest error of a velocity covariance, relative to the variance of u.
 
         Raises
         ------
         InputError
             If a record is too short for the scan, or a number is not valid.
         """
-        noise = theory_noise(scan, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw)
-        return cls(scan, flow, noise, target, truth_of(scan, flow, wind_speed, duration, target))
+        noise = theory_noise(scan, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw, tolerance=tolerance)
+        return cls(scan, flow, noise, target, truth_of(scan, flow, wind_speed, duration, target, tolerance))
 
     def records(self, kind: str, count: int, seed: int) -> xr.Dataset:
         """Return records: ``"fast"``, drawn evenly from the noise, or ``"full"``, simulated."""
@@ -81,12 +90,14 @@ class Scene:
         return drawn_records(self.scan, noise, mean, self.truth, count, seed)
 
 
-def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
+def truth_of(
+    scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str, tolerance: float = 1e-4
+) -> FloatArray:
     """Return the stresses that the fit aims at, shape (6,)."""
     if target == "ensemble":
         return flow.stresses()
     one = scan.select(scan.beam[:1])
-    moments = sonic_moments(one, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw)
+    moments = sonic_moments(one, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw, tolerance=tolerance)
     return np.asarray(moments.mean, dtype=np.float64)
 
 
