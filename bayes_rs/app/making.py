@@ -19,8 +19,8 @@ def make_app(named: Sequence[str | Path], settings: Settings) -> Site:
     Parameters
     ----------
     named : sequence of str or Path
-        A folder to look below, of which the first result is not opened; a folder of results or a file, which is opened
-        at once; or several, of which the first is opened. Without any it is the working folder.
+        A folder to look below; a folder of results or a file, which is opened at once; or several, of which the first
+        is opened. Without any the app looks below the working folder.
     settings : Settings
         How files are read.
 
