@@ -70,7 +70,7 @@ $(VENV)/installed: pyproject.toml bayes_rs/_version.py | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/installed-test: $(VENV)/installed
-	$(PIP) --editable ".[boxes]" --group test
+	$(PIP) --editable ".[app,boxes]" --group test
 	touch $@
 
 $(VENV)/installed-check: $(VENV)/installed-test

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayes_rs import compare, load_scan, load_turbulence
-from bayes_rs.design.comparing import truth_of
+from bayes_rs.design.scene import truth_of
 from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.by_theory import theory_noise

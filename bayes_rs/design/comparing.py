@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,29 +12,21 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayes_rs._validation import FloatArray, check_positive
+from bayes_rs._validation import check_positive
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.estimators import estimate
 from bayes_rs.design.scan_grid import DESIGN, design_of, named_scans
-from bayes_rs.design.trial_records import drawn_records, simulated_records
+from bayes_rs.design.scene import DrawnPrior, Scene, try_scene
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fitting import fit
-from bayes_rs.geometry.forward import design_matrix, sight
+from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.intervals import interval_of
-from bayes_rs.noise.by_theory import theory_noise
-from bayes_rs.noise.noise import Noise
 from bayes_rs.options import from_plain
-from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.posteriors.prior_at_size import prior_interval_at_size
-from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as shown
 from bayes_rs.sizes import check_size, check_work
 from bayes_rs.theory.pairs import seconds_of_pairs
 from bayes_rs.theory.sampling_times import sample_counts
-from bayes_rs.theory.sonic_theory import sonic_moments
-from bayes_rs.turbulence.mann import MannTurbulence
 
 COLUMNS = (
     "scan",
@@ -129,17 +120,27 @@ def compare(
     True
     """
     chosen = from_plain(CompareOptions, options, where="the call of compare")
-    loaded, flows, priors = named_scans(scans, label), chosen.flows(), chosen.priors()
+    loaded, flows = named_scans(scans, label), chosen.flows()
+    priors = [DrawnPrior.of(prior) for prior in chosen.priors()]
     cells = list(product(loaded, chosen.durations, flows))
     _check_cells(cells, chosen, len(priors))
     rows: list[dict[str, Any]] = []
     silent = None if progress is None else not progress
     for (name, scan), duration, flow in shown(cells, len(cells), "comparing", disable=silent):
-        scene = _Scene.at(name, scan, flow, duration, chosen)
+        scene = Scene.at(scan, flow, wind_speed=chosen.wind_speed, duration=duration, target=chosen.target)
+        seen = sight(scan)
+        of_scene = {
+            "scan": name,
+            **design_of(scan),
+            "duration": duration,
+            "turbulence": flow.name,
+            "rank": seen.rank,
+            "sight": seen.in_words(),
+        }
         for kind in chosen.kinds:
             began = time.perf_counter()
             records = scene.records(kind, chosen.count(kind), chosen.seed)
-            about = {**scene.about, "data": kind, "n_record": chosen.count(kind)}
+            about = {**of_scene, "data": kind, "n_record": chosen.count(kind)}
             rows += [{**about, **row} for row in _classic_rows(records, scene, chosen.classic)]
             for prior in priors:
                 found = _posterior_rows(records, scene, prior, chosen.interval, chosen.seed)
@@ -162,82 +163,16 @@ def _check_cells(cells: Sequence[Any], chosen: CompareOptions, n_prior: int) -> 
     check_work(f"{len(cells)} scenes of {count} records", seconds, advice)
 
 
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """A scan in a flow: its noise, and the stresses that the fit aims at."""
-
-    scan: Scan
-    flow: MannTurbulence
-    noise: Noise
-    target: str
-    truth: FloatArray
-    about: dict[str, Any]
-
-    @classmethod
-    def at(cls, label: str, scan: Scan, flow: MannTurbulence, duration: float, chosen: CompareOptions) -> _Scene:
-        """Return the scene of one cell of the comparison."""
-        seen = sight(scan)
-        return cls(
-            scan,
-            flow,
-            theory_noise(scan, flow, wind_speed=chosen.wind_speed, duration=duration, yaw=scan.yaw),
-            chosen.target,
-            truth_of(scan, flow, chosen.wind_speed, duration, chosen.target),
-            {
-                "scan": label,
-                **design_of(scan),
-                "duration": duration,
-                "turbulence": flow.name,
-                "rank": seen.rank,
-                "sight": seen.in_words(),
-            },
-        )
-
-    def records(self, kind: str, count: int, seed: int) -> xr.Dataset:
-        """Return records of this kind."""
-        noise = self.noise
-        if kind == "full":
-            return simulated_records(self.scan, self.flow, float(noise.wind_speed[0]), noise.duration, count, seed)
-        mean = noise.gain[0] @ self.truth * (1.0 + (noise.bias[0] if self.target == "ensemble" else 0.0))
-        return drawn_records(self.scan, noise, mean, self.truth, count, seed)
-
-
-def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: float, target: str) -> FloatArray:
-    """Return the stresses that the fit aims at, shape (6,)."""
-    if target == "ensemble":
-        return flow.stresses()
-    one = scan.select(scan.beam[:1])
-    moments = sonic_moments(one, flow, wind_speed=wind_speed, duration=duration, yaw=scan.yaw)
-    return np.asarray(moments.mean, dtype=np.float64)
-
-
-def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, interval: str, seed: int) -> list[dict[str, Any]]:
+def _posterior_rows(
+    records: xr.Dataset, scene: Scene, prior: DrawnPrior, interval: str, seed: int
+) -> list[dict[str, Any]]:
     """Fit the records, and measure the posterior against the truth."""
     truth = scene.truth
-    found = fit(
-        records,
-        scene.scan,
-        noise=scene.noise,
-        seed=seed,
-        prior=prior,
-        target=scene.target,
-        sampler="auto",
-        draws="float64",
-        campaign="off",  # what one record tells is compared
-        progress=False,
-    )
-    stress, of_prior = found.draws(), found.prior_draws
-    flat = stress.reshape(len(stress), -1, len(STRESSES))
-    by_stress = np.moveaxis(flat, 1, -1)
-    (low50, high50), (low90, high90) = (interval_of(by_stress, prob, interval) for prob in (0.5, 0.9))
-    median = np.median(flat, axis=1)
-    mean = flat.mean(axis=1)
-    decided, learnt = what_data_decided(
-        stress, PriorRoom.of(of_prior, leading_variance(design_matrix(scene.scan.at_yaw(0.0))))
-    )
-    own = interval_of(of_prior.T, 0.9, interval)
-    size = flat[..., :3].sum(axis=-1)
-    at_size = prior_interval_at_size(of_prior, size.mean(axis=1), size.std(axis=1), 0.9, interval)
+    found = try_scene(records, scene, prior, seed=seed)
+    (low50, high50), (low90, high90) = (found.interval(prob, interval) for prob in (0.5, 0.9))
+    flat = found.flat
+    mean, median, size = flat.mean(axis=1), np.median(flat, axis=1), flat[..., :3].sum(axis=-1)
+    at_size = prior_interval_at_size(prior.draws, size.mean(axis=1), size.std(axis=1), 0.9, interval)
     measured = {
         "truth": truth,
         "width_50": np.mean(high50 - low50, axis=0),
@@ -249,17 +184,17 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, interval: 
         "rmse_median": np.sqrt(np.mean((median - truth) ** 2, axis=0)),
         "coverage_50": np.mean((low50 <= truth) & (truth <= high50), axis=0),
         "coverage_90": np.mean((low90 <= truth) & (truth <= high90), axis=0),
-        "decided": np.mean(decided, axis=0),
-        "stresses_learnt": np.full(len(STRESSES), np.mean(learnt)),
-        "prior_width_90": own[1] - own[0],
+        "decided": np.mean(found.decided, axis=0),
+        "stresses_learnt": np.full(len(STRESSES), np.mean(found.learnt)),
+        "prior_width_90": prior.widths(0.9, interval),
         "prior_width_90_at_size": np.mean(at_size[1] - at_size[0], axis=0),
     }
     of_stress = (dict(zip(measured, values, strict=True)) for values in zip(*measured.values(), strict=True))
-    about = {"prior": prior.name, "estimator": "posterior", "interval": interval}
+    about = {"prior": prior.prior.name, "estimator": "posterior", "interval": interval}
     return [{**about, "stress": name, **values} for name, values in zip(STRESSES, of_stress, strict=True)]
 
 
-def _classic_rows(records: xr.Dataset, scene: _Scene, names: Sequence[str]) -> list[dict[str, Any]]:
+def _classic_rows(records: xr.Dataset, scene: Scene, names: Sequence[str]) -> list[dict[str, Any]]:
     """Measure the classic estimators on the same records; stresses that one does not give are left out."""
     rows = []
     for name in names:

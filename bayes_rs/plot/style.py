@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, as_numbers, check_array
 from bayes_rs.errors import InputError
@@ -13,12 +13,15 @@ from bayes_rs.intervals import EQUAL_TAILED, interval_words
 from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
 
 
-def prior_band(fit: Fit, prob: float, interval: str = EQUAL_TAILED) -> FloatArray:
-    """Return the interval of the prior at the size of each record's posterior, shape (2, n_record, 6), m² s⁻².
+def prior_band(
+    fit: Fit, prob: float, interval: str = EQUAL_TAILED, records: NDArray[np.int64] | None = None
+) -> FloatArray:
+    """Return the interval of the prior at the size of the posterior of all records, or some: (2, n_record, 6), m² s⁻².
 
     It is of `prior_interval_at_size`: all pictures draw this behind a posterior. NaN where a record was not fitted.
     """
-    mean, sd = sizes_of(fit.of_stresses("mean")["mean"], fit.covariance())
+    means = fit.of_stresses("mean")["mean"]
+    mean, sd = sizes_of(means if records is None else means[records], fit.covariance(records))
     return np.stack(prior_interval_at_size(fit.prior_draws, mean, sd, prob, interval))
 
 
