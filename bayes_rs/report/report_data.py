@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.headline import Headline, headline_of
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import EQUAL_TAILED
 from bayes_rs.report.campaign_section import CampaignShown, campaign_shown
 
 NUMBERS = ("median", "low", "high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
@@ -37,6 +39,10 @@ class ReportData:
         The records that were fitted.
     prob : float
         Probability of the intervals.
+    interval : str
+        Which intervals they are: ``"equal-tailed"`` or ``"highest-density"``.
+    headline : Headline
+        What was found, in three lines.
     record, time, flag, wind_speed : ndarray, shape (n_record,)
         Number, start (NaT if there is none), flag bits, and mean wind speed, m/s (NaN if not known).
     numbers : dict of str to ndarray, shape (n_record, 6)
@@ -62,6 +68,8 @@ class ReportData:
     run: dict[str, Any]
     records: xr.Dataset
     prob: float
+    interval: str
+    headline: Headline
     record: NDArray[np.int64]
     time: NDArray[np.datetime64]
     flag: NDArray[np.int64]
@@ -128,6 +136,8 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         run=dict(fit.run),
         records=fit.records,
         prob=own["prob"] if prob is None else prob,
+        interval=str(own.get("interval", EQUAL_TAILED)),
+        headline=headline_of(fit),
         record=np.arange(fit.n_record),
         time=fit.time,
         flag=fit.flag,
