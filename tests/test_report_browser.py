@@ -26,7 +26,8 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-STRESS_PANELS = 6
+TIME_PANELS = 7
+"""Turbulence intensity and the six stresses."""
 
 
 @pytest.fixture(scope="module")
@@ -148,13 +149,14 @@ class TestPictures:
             for figure in ("availability", "stresses", "decided", "intensity", "corner", "shape", "diagnostics")
         }
         assert counts.pop("diagnostics") >= 3
-        assert counts.pop("stresses") == STRESS_PANELS
+        assert counts.pop("stresses") == TIME_PANELS
         assert set(counts.values()) == {1}
 
     def test_a_corner_has_fifteen_clouds_and_six_histograms(self, open_page):
         page = open_page("full")
         assert page.locator("[data-figure=corner] path.dot.draws").count() == 15
         assert page.locator("[data-figure=corner] path.band").count() == 6
+        assert page.locator("[data-figure=corner] path.band.priors").count() == 5
         assert page.locator("[data-figure=corner] path.prior").count() == 21
 
     def test_without_draws_a_corner_has_ellipses(self, open_page):
@@ -171,7 +173,7 @@ class TestPictures:
     def test_the_picture_holds_the_numbers(self, open_page):
         """The median's line of uu against the axis: its ticks say where the numbers are."""
         page = open_page("full")
-        panel = page.locator("[data-figure=stresses] svg").first
+        panel = page.locator("[data-figure=stresses] svg[data-panel=uu]")
         ticks = panel.evaluate(
             "svg => [...svg.querySelectorAll('text[text-anchor=end]')]"
             ".map(tick => [tick.textContent, +tick.getAttribute('y') - 4])"
@@ -189,8 +191,8 @@ class TestPictures:
 
     def test_a_failed_record_is_marked(self, open_page):
         page = open_page("full")
-        assert page.locator("[data-figure=stresses] path.failed").count() == STRESS_PANELS
-        assert page.locator("[data-figure=stresses] path.remarked").count() == STRESS_PANELS
+        assert page.locator("[data-figure=stresses] path.failed").count() == TIME_PANELS
+        assert page.locator("[data-figure=stresses] path.remarked").count() == TIME_PANELS
 
     def test_a_day_without_a_fit_says_so(self, open_page):
         page = open_page("flagged")
@@ -248,9 +250,9 @@ class TestPicker:
 
     def test_the_pointer_reads_the_values(self, open_page):
         page = open_page("full")
-        page.locator("[data-figure=stresses] svg").first.hover(position={"x": 60, "y": 60})
-        words = page.locator("[data-figure=stresses] .readout").first.text_content()
-        written = page.locator("#stresses details tbody tr").first.locator("td").first.text_content()
+        page.locator("[data-figure=stresses] svg[data-panel=uu]").hover(position={"x": 60, "y": 60})
+        words = page.locator("[data-figure=stresses] svg[data-panel=uu] .readout").text_content()
+        written = page.locator("#stresses details tbody tr").first.locator("td").nth(1).text_content()
         # the script has whole steps of 1.5e-5 of a record's largest number: a last digit may be the next one
         shown, table = (re.findall(r"[\d.]+", one) for one in (words.rpartition(": ")[2], written))
         assert len(shown) == 3
@@ -261,7 +263,7 @@ class TestPicker:
         page = open_page("full")
         page.select_option("#pick", index=4)
         cells = page.locator("#chosen-table tbody tr").first.locator("td").all_text_contents()
-        written = page.locator("#stresses details tbody tr").nth(4).locator("td").first.text_content()
+        written = page.locator("#stresses details tbody tr").nth(4).locator("td").nth(1).text_content()
         assert f"{cells[0]} ({cells[1]} to {cells[2]})" == written
 
     def test_the_tab_key_meets_the_picker_in_its_order(self, open_page):
@@ -281,7 +283,7 @@ class TestPicker:
         assert page.evaluate("document.activeElement.id") == "main"
 
     def test_records_are_chosen_by_time_where_there_are_many(self, open_page, files, monkeypatch, tmp_path):
-        from bayes_rs.report import page as module  # noqa: PLC0415 - slow to load
+        from bayes_rs.report import record_section as module  # noqa: PLC0415 - slow to load
 
         monkeypatch.setattr(module, "MOST_OPTIONS", 2)
         files["by time"] = write_report(files["full"].parent / "full", tmp_path / "page.html")

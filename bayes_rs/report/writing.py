@@ -81,7 +81,7 @@ def write_report(
     >>> records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = write_report(brs.fit(records, scan, seed=1), f"{folder}/report.html")
-    ...     file.name, "Stresses over time" in file.read_text(encoding="utf-8")
+    ...     file.name, "Over time" in file.read_text(encoding="utf-8")
     ('report.html', True)
     """
     found = fit if isinstance(fit, Fit) else open_fit(fit)

@@ -45,10 +45,10 @@ const campaignSpeed = (holder, width) => {
 };
 const campaignHyper = (holder, width) => {
   const { name, low, mean, high, priors, words } = data.campaign.hyper;
-  const small = width < 560;
+  const small = width < 760;
   const row = small ? 34 : 20;
-  const left = small ? 8 : 190;
-  const right = small ? width - 8 : width - 230;
+  const left = small ? 8 : 236;
+  const right = small ? width - 8 : width - 262;
   const svg = picture(width, 46 + row * name.length, "Hyperparameters: posterior on its prior", `${name.length} rows; the prior's interval goes from −1 to 1.`);
   const box = { left, right, top: 6, bottom: 6 + row * name.length };
   const range = extent([-1.1, 1.1, ...low, ...high]);
