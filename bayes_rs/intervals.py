@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice, check_prob
 
@@ -57,13 +58,16 @@ def interval_of(draws: FloatArray, prob: float, kind: str = EQUAL_TAILED) -> tup
 
     References
     ----------
-    Chen and Shao (1999), Journal of Computational and Graphical Statistics 8, 69–92, doi:10.1080/10618600.1999.10474802.
+    Chen and Shao (1999), Journal of Computational and Graphical Statistics 8, 69–92,
+    doi:10.1080/10618600.1999.10474802.
 
     Examples
     --------
     >>> draws = np.array([0.0, 1.0, 2.0, 3.0, 10.0])
-    >>> [float(end) for end in interval_of(draws, 0.5)], [float(end) for end in interval_of(draws, 0.5, "highest-density")]
-    ([1.0, 3.0], [0.0, 2.0])
+    >>> for kind in INTERVALS:
+    ...     print(kind, *interval_of(draws, 0.5, kind))
+    equal-tailed 1.0 3.0
+    highest-density 0.0 2.0
     """
     check_prob(prob)
     check_choice(kind, tuple(INTERVALS), what="interval")
@@ -103,7 +107,7 @@ def _steps(n_draw: int, prob: float) -> int:
     return min(int(prob * n_draw), n_draw - 1)
 
 
-def _first(ordered: FloatArray, step: int) -> FloatArray:
+def _first(ordered: FloatArray, step: int) -> NDArray[np.intp]:
     """Return the place of the lower end of the narrowest interval of so many steps; the first of equal ones."""
     width = ordered[..., step:] - ordered[..., : ordered.shape[-1] - step]
     return np.asarray(np.argmin(width, axis=-1))

@@ -110,6 +110,7 @@ SAMPLES = {
         "instrument_noise": one("--instrument-noise", 0.02),
         "nuisances": Sample(Nuisances(inflation=1.5)),
         "prob": one("--prob", 0.5),
+        "interval": one("--interval", "highest-density"),
         "derived": Sample(("tke", "ti"), ("--derived", "tke", "--derived", "ti")),
         "draws": one("--draws", "float32"),
         "scatter": one("--scatter", "theory"),

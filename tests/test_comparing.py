@@ -18,8 +18,10 @@ from bayes_rs.design.comparison_plot import comparison
 from bayes_rs.design.scan_grid import DESIGN
 from bayes_rs.design.trial_records import drawn_records, explained_errors
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import INTERVALS
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.options import options_of
+from bayes_rs.pictures import POSTERIOR_COLOUR, PRIORS
 
 FLOW = load_turbulence("fu-2022")
 CROSS_WIND = ("vv", "ww", "vw")
@@ -331,27 +333,47 @@ class TestPicture:
         wanted = table[(table["estimator"] == "posterior") & (table["stress"] == "uu")]["width_ratio"]
         np.testing.assert_allclose(widths, sorted(wanted))
 
+    def test_what_the_prior_decides_is_hatched(self, table):
+        """A bar turns from hatched to solid with the share that the data decided, and the legend says what it is."""
+        for share, hatch in ((0.49, "////"), (0.51, None)):
+            figure = comparison(table.assign(decided=share))
+            assert {bar.get_hatch() for axis in figure.axes for bar in axis.patches} == {hatch}
+            words = [text.get_text() for text in figure.legends[0].get_texts()]
+            assert (PRIORS in words) == (hatch is not None)
+            assert figure.legends[0].get_title().get_text().endswith("equal-tailed")
+
+    def test_the_priors_width_is_a_line(self, table):
+        axis = comparison(table).axes[0]
+        rows = table[(table["estimator"] == "posterior") & (table["stress"] == "uu")]
+        expected = rows["prior_width_90_at_size"] / rows["truth"]
+        drawn = [part.vertices[0, 0] for lines in axis.collections for part in lines.get_paths()]
+        np.testing.assert_allclose(sorted(drawn), sorted(expected), rtol=1e-9)
+
     def test_contours_of_a_grid_where_two_things_vary(self, grid):
         figure = comparison(grid)
         assert [panel.get_title()[:2] for panel in figure.axes] == list(STRESSES)
-        assert figure.axes[3].get_xlabel() == "opening angle, degrees"
-        assert figure.axes[3].get_ylabel() == "focus distance, m"
+        assert figure.axes[3].get_xlabel() == "opening angle [°]"
+        assert figure.axes[3].get_ylabel() == "focus distance [m]"
         assert "6 beams, with a centre beam, records of 600 s" in figure.get_suptitle()
         figure.savefig(io.BytesIO(), format="png")
 
     def test_lines_where_one_thing_varies(self, beams, durations):
         figure = comparison(beams, stresses=["uu", "vw"])
-        lines = figure.axes[1].lines
+        lines = [
+            line
+            for line in figure.axes[1].lines
+            if line.get_color() == POSTERIOR_COLOUR and line.get_linestyle() != "None"
+        ]
         assert [line.get_linestyle() for line in lines] == ["--", "-"]
         np.testing.assert_array_equal(lines[1].get_ydata(), widths(beams, stress="vw", centre=True))
-        assert comparison(durations).axes[3].get_xlabel() == "record length, s"
+        assert comparison(durations).axes[3].get_xlabel() == "record length [s]"
 
     def test_bars_where_it_is_no_grid(self, grid):
         """Three things, or two over which not all combinations are there, are no picture of two axes."""
         part = grid[~((grid["opening_angle_deg"] == 30.0) & (grid["focus_distance"] == 30.0))]
         both = pd.concat([grid, grid.assign(duration=1200.0)])
         for table in (part, both):
-            assert len(comparison(table).axes) == 4
+            assert len(comparison(table).axes) == 6
 
     def test_refusals(self, table):
         with pytest.raises(InputError, match="stress"):
@@ -359,6 +381,31 @@ class TestPicture:
         for other in (pd.DataFrame({"a": [1]}), table.iloc[:0]):
             with pytest.raises(InputError, match="Not a table of scans"):
                 comparison(other)
+
+
+class TestLabels:
+    def test_python_and_names_say_the_same(self):
+        options = {"n_records": 4, "estimators": ()}
+        one = compare(["6-beam", "4-beam"], label=["six", "four"], **options)
+        other = compare(["six=6-beam", "four=4-beam"], **options)
+        assert list(dict.fromkeys(one["scan"])) == ["six", "four"]
+        pd.testing.assert_frame_equal(one.drop(columns="seconds"), other.drop(columns="seconds"))
+
+    def test_labels_that_are_refused(self):
+        with pytest.raises(InputError, match="there are 1 for 2 scans; give one for each"):
+            compare(["6-beam", "4-beam"], label=["six"])
+        with pytest.raises(InputError, match="Invalid label 'a@b'"):
+            compare(["6-beam"], label="a@b")
+        with pytest.raises(InputError, match="Scan 'a' is named twice"):
+            compare(["a=6-beam", "a=4-beam"])
+
+
+def test_the_narrowest_intervals_are_no_wider():
+    tables = {kind: compare("6-beam", n_records=8, estimators=(), interval=kind) for kind in INTERVALS}
+    for kind, table in tables.items():
+        assert set(table["interval"]) == {kind}
+    for name in ("width_90", "width_50", "prior_width_90"):
+        assert (tables["highest-density"][name] < 1.01 * tables["equal-tailed"][name]).all(), name  # interpolation
 
 
 def test_the_folder_holds_table_figure_and_json(tmp_path):

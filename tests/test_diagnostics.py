@@ -44,17 +44,6 @@ class TestAgainstArviz:
         expected = [arviz.rhat(case) for case in cases]
         np.testing.assert_allclose(diagnostics.r_hat(cases, n_ensemble=8), expected, rtol=1e-10)
 
-    def test_central_interval(self, cases):
-        flat = cases[:3].reshape(3, -1)
-        ends = np.stack(diagnostics.central_interval(flat, 0.9))
-        np.testing.assert_allclose(ends, np.quantile(flat, [0.05, 0.95], axis=1), rtol=1e-12)  # rounding
-
-
-def test_the_central_interval_of_a_growing_function_is_the_function_of_the_interval():
-    draws = np.random.default_rng(3).standard_normal(10_001)  # so many that the ends are draws themselves
-    direct = np.exp(np.stack(diagnostics.central_interval(draws, 0.9)))
-    np.testing.assert_allclose(np.stack(diagnostics.central_interval(np.exp(draws), 0.9)), direct, rtol=1e-12)
-
 
 def test_autocorrelation_time_is_that_of_emcee():
     import emcee  # noqa: PLC0415 - slow to load
@@ -107,5 +96,3 @@ def test_bad_input_is_refused():
         diagnostics.ess_bulk(np.ones((4, 3)))
     with pytest.raises(InputError, match=r"Invalid n_ensemble 3: it must divide the number of chains, 8"):
         diagnostics.r_hat(np.ones((8, 10)), 3)
-    with pytest.raises(InputError, match=r"Invalid prob 1.5: it must be between 0 and 1"):
-        diagnostics.central_interval(np.ones(10), 1.5)

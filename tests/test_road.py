@@ -237,6 +237,7 @@ OPTION_CASES = {
     "instrument_noise": ({}, {"instrument_noise": 0.05}),
     "nuisances": ({}, {"nuisances": Nuisances(tilt_sd_deg=3.0)}),
     "prob": ({}, {"prob": 0.5}),
+    "interval": ({}, {"interval": "highest-density"}),
     "derived": ({}, {"derived": ("tke", "ti")}),
     "draws": ({}, {"draws": "none"}),
     "scatter": ({}, {"scatter": "theory"}),

@@ -24,7 +24,7 @@ SCIPY = {
         "signal",
     ]
 }
-PICTURES = {"matplotlib", "corner"}
+PICTURES = {"matplotlib"}
 FIT = {
     "emcee",
     "loky",
@@ -37,7 +37,7 @@ FIT = {
 }
 """What a fit is made of."""
 NEVER = {"arviz", "numba", "scipy.signal"}
-"""What no command uses: corner would load it for objects that it is not given."""
+"""What no command uses."""
 TABLES = {"pandas", "xarray", "pyarrow", "h5netcdf"}
 LATER = SCIPY - {"scipy.special", "scipy.fft"}
 """What the modules of a fit leave for their first numbers."""
@@ -114,7 +114,7 @@ def test_of_commands_without_files(words, not_there, scene):
         ("look day.csv", {*PICTURES, *FIT, *NEVER}),
         ("records day.csv --scan 2-beam -o made.nc --overwrite", {*PICTURES, *FIT - {"loky"}, *NEVER, "scipy.stats"}),
         ("corner OUT -o corner.png --overwrite", {"emcee", *NEVER, "scipy.stats", "scipy.interpolate"}),
-        ("report OUT -o report.html --overwrite", {"emcee", "corner", *NEVER, "scipy.stats", "scipy.interpolate"}),
+        ("report OUT -o report.html --overwrite", {"emcee", *NEVER, "scipy.stats", "scipy.interpolate"}),
         ("fit day.csv --scan 2-beam -o OUT --overwrite --ess 100", NEVER),
     ],
 )
@@ -127,20 +127,8 @@ def test_what_is_looked_for_is_there_where_it_is_used(scene):
     """The names above are those of modules, so that one that is never loaded is not so by its spelling."""
     found = loaded("command(*'fit day.csv --scan 2-beam -o OUT --overwrite --ess 100'.split())", scene)
     assert {"emcee", "loky", "scipy.stats", "matplotlib", *TABLES, *FIT} <= found
-    found = loaded("import arviz, corner, scipy.signal; import bayes_rs as brs; brs.plot.corner")
-    assert {"arviz", "corner", "scipy.signal"} <= found
-
-
-def test_corner_is_the_one_that_is_installed():
-    """Of the package corner one module is loaded; who imports all of it has the same function for arrays."""
-    code = (
-        "from bayes_rs.plot.corner_plot import _corner_of_arrays\n"
-        "draw = _corner_of_arrays()\n"
-        "assert not {'corner', 'corner.core'} & set(sys.modules)\n"
-        "import corner\n"
-        "assert corner.core.corner_impl.__code__ == draw.__code__"
-    )
-    assert "corner.core" in loaded(code)
+    found = loaded("import arviz, scipy.signal; import bayes_rs as brs; brs.plot.corner")
+    assert {"arviz", "scipy.signal"} <= found
 
 
 def test_a_command_sets_garbage_aside(scene):

@@ -63,7 +63,7 @@ def fit_of(stress, *, wind_speed=10.0):
         "n_record": n_record,
         "n_chain": n_chain,
         "n_draw": n_draw,
-        "settings": {"fit": {"prob": 0.9, "derived": ["tke"]}},
+        "settings": {"fit": {"prob": 0.9, "interval": "equal-tailed", "derived": ["tke"]}},
     }
     return Fit(run, load_scan("staring"), MemoryTables(tables), ByHand(np.full(n_record, wind_speed)))
 
@@ -76,7 +76,7 @@ def mean_of(stress, name, **options):
 class TestTable:
     def test_columns_and_their_order(self, result):
         expected = (
-            "record time stress mean sd median low high prob decided least_squares least_squares_se "
+            "record time stress mean sd median low high prob interval decided least_squares least_squares_se "
             "mcse_mean mcse_sd mcse_median mcse_low mcse_high ess_bulk ess_tail r_hat flag"
         )
         assert expected.split() == list(COLUMNS)
@@ -97,7 +97,7 @@ class TestTable:
 
     def test_records_that_were_not_fitted_are_rows_of_nan(self, result):
         table = result.summary(derived=DERIVED)
-        numbers = [name for name in COLUMNS if name not in ("record", "time", "stress", "prob", "flag")]
+        numbers = [name for name in COLUMNS if name not in ("record", "time", "stress", "prob", "interval", "flag")]
         missing = table[numbers].isna().groupby(table["record"]).all().all(axis=1)
         assert missing.tolist() == [False, True, False, False]
         stresses = table[table["stress"].isin(STRESSES) & (table["record"] != 1)]

@@ -25,8 +25,9 @@ class CampaignPosterior:
     group : tuple of str
         Their groups; all ``""`` where there are none.
     hyper : pandas.DataFrame
-        A row for each hyperparameter: ``name, mean, low, high, prior_mean, prior_low, prior_high, decided, ess,
-        r_hat``; 90 % intervals. Names are as ``mean ln(vv/uu)``, ``sd ln(vv/uu)``, ``corr ln(uu), ln(vv/uu)``.
+        A row for each hyperparameter: ``name, mean, low, high, prior_mean, prior_low, prior_high, interval,
+        decided, ess, r_hat``; 90 % intervals. Names are as ``mean ln(vv/uu)``, ``sd ln(vv/uu)``, ``corr ln(uu),
+        ln(vv/uu)``.
     acceptance : dict of str to float
         Share of the proposals that were accepted, for each kind of move.
     n_sweep : int

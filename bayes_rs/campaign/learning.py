@@ -8,6 +8,7 @@ import pandas as pd
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign.cells import Cells, size_correlation
 from bayes_rs.campaign.hyperprior import Hyper, draw_hyper, group_root
+from bayes_rs.intervals import interval_of
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.priors.campaign import CampaignPrior, LearntGroup
 from bayes_rs.priors.interface import N_COORDINATE, LogRatioPrior
@@ -110,7 +111,7 @@ def hyper_values(base: LogRatioPrior, hyper: Hyper, cells: Cells) -> dict[str, F
 
 
 def hyper_table(
-    base: LogRatioPrior, draws: dict[str, FloatArray], cells: Cells, rng: np.random.Generator
+    base: LogRatioPrior, draws: dict[str, FloatArray], cells: Cells, rng: np.random.Generator, interval: str
 ) -> pd.DataFrame:
     """Return the table of hyperparameters of `CampaignPosterior`, from draws (n_chain, n_draw) by name."""
     prior = hyper_values(base, draw_hyper(_N_PRIOR, cells, rng), cells)
@@ -118,8 +119,8 @@ def hyper_table(
     for name, values in draws.items():
         before = prior[name]
         diagnosis = diagnostics.diagnose(values, len(values))
-        low, high = np.quantile(values, [0.5 - 0.5 * _PROB, 0.5 + 0.5 * _PROB])
-        prior_low, prior_high = np.quantile(before, [0.5 - 0.5 * _PROB, 0.5 + 0.5 * _PROB])
+        low, high = interval_of(values.ravel(), _PROB, interval)
+        prior_low, prior_high = interval_of(before, _PROB, interval)
         rows.append(
             {
                 "name": name,
@@ -129,6 +130,7 @@ def hyper_table(
                 "prior_mean": float(before.mean()),
                 "prior_low": float(prior_low),
                 "prior_high": float(prior_high),
+                "interval": interval,
                 "decided": decided(values, before),
                 "ess": float(diagnosis.ess_bulk),
                 "r_hat": float(diagnosis.r_hat),

@@ -14,6 +14,7 @@ from bayes_rs.campaign.hyperprior import Hyper, draw_coordinates, draw_hyper
 from bayes_rs.campaign.learning import hyper_table, hyper_values, learnt_prior
 from bayes_rs.campaign.record_moves import RecordMoves, expand, unseen_directions
 from bayes_rs.errors import InputError
+from bayes_rs.intervals import EQUAL_TAILED
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
@@ -62,6 +63,7 @@ def sample_campaign(
     target_ess: int = TARGET_ESS,
     most_sweeps: int = 8000,
     n_chain: int | None = None,
+    interval: str = EQUAL_TAILED,
 ) -> CampaignPosterior:
     """Sample the records of a campaign together with the distribution that they come from.
 
@@ -81,6 +83,8 @@ def sample_campaign(
         Bound on the sweeps of a chain after burn-in.
     n_chain : int
         Independent chains; by default 4, and 8 for up to 150 records, whose chains cost little.
+    interval : {"equal-tailed", "highest-density"}
+        Which intervals the table of hyperparameters has.
 
     Returns
     -------
@@ -126,7 +130,7 @@ def sample_campaign(
         stress=base.stress(kept.astype(np.float64)),
         wind_speed=speed,
         group=tuple("" if group is None else str(one) for one in (group if group is not None else speed)),
-        hyper=hyper_table(base, values, cells, rng),
+        hyper=hyper_table(base, values, cells, rng, interval),
         acceptance=run.acceptance(),
         n_sweep=run.n_sweep,
         ess=ess,

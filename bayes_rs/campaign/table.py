@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, as_generator, check_array, check_prob
+from bayes_rs._validation import FloatArray, as_generator, check_array
 from bayes_rs.campaign.campaign_posterior import CampaignPosterior
 from bayes_rs.campaign.cells import BIN_WIDTH, speed_bin
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import EQUAL_TAILED, interval_of
 
-COLUMNS = ("quantity", "bin", "mean", "low", "high", "prob", "n_record", "decided")
+COLUMNS = ("quantity", "bin", "mean", "low", "high", "prob", "interval", "n_record", "decided")
 REPRESENTATIVE = 0.9
 """Which quantile of TI represents a bin of wind speed in IEC 61400-1 and DNV practice."""
 _OF_ONE = (*STRESSES, "tke", "ti", "u_star", "vv_uu", "ww_uu", "rho_uv", "rho_uw", "rho_vw")
@@ -31,6 +32,7 @@ def campaign_table(
     campaign: CampaignPosterior,
     *,
     prob: float = 0.9,
+    interval: str = EQUAL_TAILED,
     wind_speed: FloatArray | None = None,
     stress_mean: FloatArray | None = None,
     chosen: NDArray[np.int64] | None = None,
@@ -44,7 +46,9 @@ def campaign_table(
     campaign : CampaignPosterior
         Result of `sample_campaign`.
     prob : float
-        Probability of the intervals, which are central.
+        Probability of the intervals.
+    interval : {"equal-tailed", "highest-density"}
+        Which intervals.
     wind_speed : ndarray, shape (n_all,), optional
         Wind speeds of all records, m/s, where only some were sampled.
     stress_mean : ndarray, shape (n_all, 6), optional
@@ -59,10 +63,10 @@ def campaign_table(
     Returns
     -------
     table : pandas.DataFrame
-        Columns ``quantity, bin, mean, low, high, prob, n_record, decided``. Bin ``all`` comes first, then bins of wind
-        speed as ``7.5-8.5 m/s``, and the groups. Quantities: ``uu, vv, ww, uv, uw, vw, tke`` (m² s⁻²), ``ti``,
-        ``u_star`` (m/s), ``vv_uu, ww_uu, rho_uv, rho_uw, rho_vw`` are means over the records, ``sd_uu`` and so on
-        standard deviations over the records, and ``ti_p90`` is the 90 % quantile of TI over the records.
+        Columns ``quantity, bin, mean, low, high, prob, interval, n_record, decided``. Bin ``all`` comes first, then
+        bins of wind speed as ``7.5-8.5 m/s``, and the groups. Quantities: ``uu, vv, ww, uv, uw, vw, tke`` (m² s⁻²),
+        ``ti``, ``u_star`` (m/s), ``vv_uu, ww_uu, rho_uv, rho_uw, rho_vw`` are means over the records, ``sd_uu`` and so
+        on standard deviations over the records, and ``ti_p90`` is the 90 % quantile of TI over the records.
 
     Raises
     ------
@@ -93,7 +97,6 @@ def campaign_table(
     ----------
     Cochran (1977), Sampling Techniques, 3rd ed., Wiley.
     """
-    check_prob(prob)
     rng = as_generator(seed)
     draws = campaign.stress.reshape(-1, campaign.n_record, len(STRESSES))
     if offset_sd is not None:
@@ -111,9 +114,9 @@ def campaign_table(
         then = _numbers({key: value[:, part] for key, value in before.items()}, prior_weight, {})
         for quantity in ("ti", "ti_p90") if by_speed else now:
             value = now[quantity]
-            low, high = np.quantile(value, [0.5 - 0.5 * prob, 0.5 + 0.5 * prob])
+            low, high = interval_of(value, prob, interval)
             decided = _decided(quantity, now, then)
-            rows.append((quantity, name, float(value.mean()), float(low), float(high), prob, count, decided))
+            rows.append((quantity, name, float(value.mean()), float(low), float(high), prob, interval, count, decided))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

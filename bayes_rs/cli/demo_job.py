@@ -107,12 +107,12 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
 
 
 def _prior_width(found: Fit) -> FloatArray:
+    from bayes_rs.intervals import interval_of
     from bayes_rs.plot.corner_plot import prior_at_size
-    from bayes_rs.posteriors.diagnostics import central_interval
 
     widths = []
     for record in range(found.n_record):
-        low, high = central_interval(prior_at_size(found, record).T, 0.9)
+        low, high = interval_of(prior_at_size(found, record).T, 0.9)
         widths.append(high - low)
     return np.asarray(np.mean(widths, axis=0))
 

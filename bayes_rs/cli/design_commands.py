@@ -18,7 +18,7 @@ _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder 
 
 
 @click.command(name="compare", cls=GroupedCommand)
-@click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
+@click.argument("scans", nargs=-1, required=True, metavar="[LABEL=]SCAN...")
 @class_options((CompareOptions, "Comparison"))
 @_output
 @_overwrite
@@ -29,7 +29,7 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
     6-beam@opening_angle_deg=30,focus_distance=49+98 (two planes). Several values of a change, separated by /, make
     several scans: 6-beam@opening_angle_deg=15/30/45,n_beams=4/6 are six. Changes are opening_angle_deg,
     focus_distance, tilt_deg, yaw_deg, probe, n_beams (all beams of a cone) and centre (yes or no: one of them along
-    the axis).
+    the axis). A LABEL before the name stands for it in table and picture, as in wide=6-beam@opening_angle_deg=45.
     """
     given = _given(options)
     from_plain(CompareOptions, given, where="the options of compare")  # before what takes a second to load

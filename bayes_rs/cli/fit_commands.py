@@ -80,7 +80,7 @@ def draw_pictures(found: Fit, folder: Path) -> None:
     if isinstance(found, RangedFit):
         for own in found.fits.values():
             draw_pictures(own, Path(own.place))
-        figures = {"profile.png": profile(found)}
+        figures: dict[str, Figure] = {"profile.png": profile(found)}
     else:
         figures = _figures(found)
     for name, figure in figures.items():
@@ -94,7 +94,7 @@ def _figures(found: Fit) -> dict[str, Figure]:
     from bayes_rs.plot.corner_plot import corner as draw_corner
     from bayes_rs.plot.stresses_plot import stresses
 
-    figures = {"stresses.png": stresses(found)}
+    figures: dict[str, Figure] = {"stresses.png": stresses(found)}
     if found.has_draws and found.n_fitted:
         figures["corner.png"] = draw_corner(found, int(found.fitted.argmax()))
     if found.has_campaign:

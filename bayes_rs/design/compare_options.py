@@ -10,6 +10,7 @@ import numpy as np
 from bayes_rs._validation import as_items, check_choice, check_count, check_positive, check_seed
 from bayes_rs.design.estimators import ESTIMATORS
 from bayes_rs.errors import InputError
+from bayes_rs.intervals import EQUAL_TAILED, INTERVALS
 from bayes_rs.options import described, option
 from bayes_rs.priors.registry import Prior, make_prior
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
@@ -61,6 +62,12 @@ class CompareOptions:
         choices="bayes_rs.design.estimators:ESTIMATORS",
         flag="--estimator",
     )
+    interval: str = option(
+        EQUAL_TAILED,
+        "Which credible intervals: equal-tailed, with as much probability below as above, or highest-density, the "
+        "narrowest",
+        choices=tuple(INTERVALS),
+    )
     seed: int = option(1, "Same seed, same numbers")
 
     def __post_init__(self) -> None:
@@ -75,6 +82,7 @@ class CompareOptions:
             check_count(self.n_records, what="n_records", minimum=2)
         for name in self.classic:
             check_choice(name, tuple(ESTIMATORS), what="estimator")
+        check_choice(self.interval, tuple(INTERVALS), what="interval")
         check_seed(self.seed)
 
     @property

@@ -23,10 +23,12 @@ from bayes_rs.fits.fitting import fit
 from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_of
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.options import from_plain
 from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
+from bayes_rs.posteriors.prior_at_size import prior_interval_at_size
 from bayes_rs.priors.registry import Prior
 from bayes_rs.progress import progress as shown
 from bayes_rs.sizes import check_size, check_work
@@ -44,6 +46,7 @@ COLUMNS = (
     "estimator",
     "stress",
     "truth",
+    "interval",
     "width_50",
     "width_90",
     "width_ratio",
@@ -56,6 +59,7 @@ COLUMNS = (
     "decided",
     "stresses_learnt",
     "prior_width_90",
+    "prior_width_90_at_size",
     "full_over_fast",
     "rank",
     "sight",
@@ -68,7 +72,11 @@ ENOUGH = 0.02
 
 
 def compare(
-    scans: str | Path | Scan | Sequence[str | Path | Scan], *, progress: bool | None = None, **options: Any
+    scans: str | Path | Scan | Sequence[str | Path | Scan],
+    *,
+    label: str | Sequence[str] | None = None,
+    progress: bool | None = None,
+    **options: Any,
 ) -> pd.DataFrame:
     """Compare scans by how well they would know the stresses of a turbulence.
 
@@ -79,22 +87,27 @@ def compare(
         ``"6-beam@opening_angle_deg=30,focus_distance=52"``. Several values of a change, separated by ``/``, make
         several scans, and of several changes all combinations: ``"6-beam@opening_angle_deg=15/30/45,n_beams=4/6"``.
         Several focus distances joined by ``+`` are the planes of one scan.
+    label : str or sequence of str, optional
+        What each of `scans` is called in the table and in pictures, in place of its name; a label before a name, as
+        ``"wide=6-beam@opening_angle_deg=45"``, does the same. Of several scans made from one name, the label stands for
+        what is before the ``@``.
     progress : bool, optional
         Progress bar on stderr; by default only on a terminal.
     **options
         Fields of `CompareOptions`: ``turbulence``, ``prior``, ``wind_speed``, ``duration``, ``target``, ``method``,
-        ``n_records``, ``estimators`` and ``seed``.
+        ``n_records``, ``estimators``, ``interval`` and ``seed``.
 
     Returns
     -------
     table : DataFrame
         One row for each scan, record length, turbulence, prior, kind of data, estimator and stress, with the columns of
         `COLUMNS`: what the scan is (all beams, whether one points along the axis, largest opening angle and focus
-        distance, mounting), expected widths of the central 50 and 90 % intervals, ``width_ratio`` (the 90 % width over
-        the true uu), bias and root mean square error of posterior mean and median (or of the classic estimate), shares
-        of intervals that hold the truth, what the data ``decided`` and ``stresses_learnt`` (as in `Fit.summary`, means
-        over the records), the prior's own width, rank and unseen directions in words. ``full_over_fast`` is the ratio
-        of the 90 % widths where both were asked for. m² s⁻² where not relative.
+        distance, mounting), expected widths of the 50 and 90 % intervals, of the kind ``interval``; ``width_ratio``
+        (the 90 % width over the true uu), bias and root mean square error of posterior mean and median (or of the
+        classic estimate), shares of intervals that hold the truth, what the data ``decided`` and ``stresses_learnt``
+        (as in `Fit.summary`, means over the records), the prior's own width, and its mean width once the record's size
+        uu + vv + ww is known (``prior_width_90_at_size``), rank and unseen directions in words. ``full_over_fast`` is
+        the ratio of the 90 % widths where both were asked for. m² s⁻² where not relative.
 
     Raises
     ------
@@ -116,20 +129,20 @@ def compare(
     True
     """
     chosen = from_plain(CompareOptions, options, where="the call of compare")
-    loaded, flows, priors = named_scans(scans), chosen.flows(), chosen.priors()
+    loaded, flows, priors = named_scans(scans, label), chosen.flows(), chosen.priors()
     cells = list(product(loaded, chosen.durations, flows))
     _check_cells(cells, chosen, len(priors))
     rows: list[dict[str, Any]] = []
     silent = None if progress is None else not progress
-    for (label, scan), duration, flow in shown(cells, len(cells), "comparing", disable=silent):
-        scene = _Scene.at(label, scan, flow, duration, chosen)
+    for (name, scan), duration, flow in shown(cells, len(cells), "comparing", disable=silent):
+        scene = _Scene.at(name, scan, flow, duration, chosen)
         for kind in chosen.kinds:
             began = time.perf_counter()
             records = scene.records(kind, chosen.count(kind), chosen.seed)
             about = {**scene.about, "data": kind, "n_record": chosen.count(kind)}
             rows += [{**about, **row} for row in _classic_rows(records, scene, chosen.classic)]
             for prior in priors:
-                found = _posterior_rows(records, scene, prior, chosen.seed)
+                found = _posterior_rows(records, scene, prior, chosen.interval, chosen.seed)
                 seconds = time.perf_counter() - began
                 rows += [{**about, **row, "seconds": seconds} for row in found]
     return _with_ratio(pd.DataFrame(rows).reindex(columns=list(COLUMNS)))
@@ -198,7 +211,7 @@ def truth_of(scan: Scan, flow: MannTurbulence, wind_speed: float, duration: floa
     return np.asarray(moments.mean, dtype=np.float64)
 
 
-def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int) -> list[dict[str, Any]]:
+def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, interval: str, seed: int) -> list[dict[str, Any]]:
     """Fit the records, and measure the posterior against the truth."""
     truth = scene.truth
     found = fit(
@@ -215,12 +228,16 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
     )
     stress, of_prior = found.draws(), found.prior_draws
     flat = stress.reshape(len(stress), -1, len(STRESSES))
-    low90, low50, median, high50, high90 = np.quantile(flat, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1)
+    by_stress = np.moveaxis(flat, 1, -1)
+    (low50, high50), (low90, high90) = (interval_of(by_stress, prob, interval) for prob in (0.5, 0.9))
+    median = np.median(flat, axis=1)
     mean = flat.mean(axis=1)
     decided, learnt = what_data_decided(
         stress, PriorRoom.of(of_prior, leading_variance(design_matrix(scene.scan.at_yaw(0.0))))
     )
-    ends = np.quantile(of_prior, [0.05, 0.95], axis=0)
+    own = interval_of(of_prior.T, 0.9, interval)
+    size = flat[..., :3].sum(axis=-1)
+    at_size = prior_interval_at_size(of_prior, size.mean(axis=1), size.std(axis=1), 0.9, interval)
     measured = {
         "truth": truth,
         "width_50": np.mean(high50 - low50, axis=0),
@@ -234,10 +251,11 @@ def _posterior_rows(records: xr.Dataset, scene: _Scene, prior: Prior, seed: int)
         "coverage_90": np.mean((low90 <= truth) & (truth <= high90), axis=0),
         "decided": np.mean(decided, axis=0),
         "stresses_learnt": np.full(len(STRESSES), np.mean(learnt)),
-        "prior_width_90": ends[1] - ends[0],
+        "prior_width_90": own[1] - own[0],
+        "prior_width_90_at_size": np.mean(at_size[1] - at_size[0], axis=0),
     }
     of_stress = (dict(zip(measured, values, strict=True)) for values in zip(*measured.values(), strict=True))
-    about = {"prior": prior.name, "estimator": "posterior"}
+    about = {"prior": prior.name, "estimator": "posterior", "interval": interval}
     return [{**about, "stress": name, **values} for name, values in zip(STRESSES, of_stress, strict=True)]
 
 

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.design.scan_grid import DESIGN
+from bayes_rs.pictures import COLOURS, HATCH, PRIOR_COLOUR, PRIOR_MARK, PRIORS, new_or_given, prior_patch
+from bayes_rs.posteriors.decided import PRIOR_BELOW, is_priors
 
+WIDTH = "90 % width / uu"
 _LABELS = {
-    "n_beam": "number of beams",
-    "opening_angle_deg": "opening angle, degrees",
-    "focus_distance": "focus distance, m",
-    "tilt_deg": "tilt, degrees",
-    "yaw_deg": "yaw, degrees",
-    "duration": "record length, s",
+    "n_beam": "number of beams [1]",
+    "opening_angle_deg": "opening angle [°]",
+    "focus_distance": "focus distance [m]",
+    "tilt_deg": "tilt [°]",
+    "yaw_deg": "yaw [°]",
+    "duration": "record length [s]",
 }
 _LOGARITHMIC = ("n_beam", "focus_distance", "duration")
-_COLOURS = ("#1f4e79", "#c26a16", "#2e7d4f", "#7a4ea3", "#b03050", "#6b6b6b")
 _N_LEVEL = 8
 _EDGE = 0.05  # of a panel
 _MOST_TICKS = 8
@@ -44,11 +48,13 @@ def grid_axes(posterior: pd.DataFrame) -> list[str]:
     return axes if alike and whole and few else []
 
 
-def grid_figure(posterior: pd.DataFrame, axes: Sequence[str], stresses: Sequence[str]) -> Figure:
+def grid_figure(
+    posterior: pd.DataFrame, axes: Sequence[str], stresses: Sequence[str], given: FigureBase | None = None
+) -> FigureBase:
     """Draw the 90 % widths over uu against what varies, a panel for each stress."""
     n_column = min(3, len(stresses))
     n_row = int(np.ceil(len(stresses) / n_column))
-    figure = Figure(figsize=(4.1 * n_column, 2.9 * n_row + 0.5), layout="constrained")
+    figure = new_or_given(given, (4.1 * n_column, 2.9 * n_row + 1.1))
     panels = figure.subplots(n_row, n_column, sharex=True, sharey=len(axes) == 2, squeeze=False)
     across = axes[0]
     shown = posterior[posterior["centre"]] if len(axes) == 2 and posterior["centre"].nunique() == 2 else posterior
@@ -56,7 +62,7 @@ def grid_figure(posterior: pd.DataFrame, axes: Sequence[str], stresses: Sequence
         rows = shown[shown["stress"] == stress]
         if len(axes) == 2:
             _contours(panel, rows, axes[0], axes[1])
-            panel.set_title(f"{stress}   (prior alone {float(_of_prior(rows).iloc[0]):.2g})", fontsize=10)
+            panel.set_title(f"{stress}   (prior at this size {float(_of_prior(rows).median()):.2g})", fontsize=10)
         else:
             _lines(panel, rows, across)
             panel.set_title(stress, fontsize=10)
@@ -65,10 +71,10 @@ def grid_figure(posterior: pd.DataFrame, axes: Sequence[str], stresses: Sequence
     for panel in panels[-1]:
         panel.set_xlabel(_LABELS[across])
     for panel in panels[:, 0]:
-        panel.set_ylabel(_LABELS[axes[1]] if len(axes) == 2 else "90 % width / uu")
-    if len(axes) == 1:
-        panels[0, 0].legend(fontsize=8, frameon=False)
-    title = figure.suptitle(f"expected 90 % width over uu; {_constant(shown)}", fontsize=11)
+        panel.set_ylabel(_LABELS[axes[1]] if len(axes) == 2 else f"{WIDTH} [1]")
+    _legend(figure, panels[0, 0], shown, of_lines=len(axes) == 1)
+    which = str(posterior["interval"].iloc[0])
+    title = figure.suptitle(f"expected 90 % width over uu, {which}; {_constant(shown)}", fontsize=11)
     title.set_parse_math(False)
     return figure
 
@@ -78,6 +84,11 @@ def _contours(panel: Axes, rows: pd.DataFrame, across: str, along: str) -> None:
     first, second, width = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
     levels = MaxNLocator(_N_LEVEL).tick_values(float(width.min()), float(width.max()))
     panel.contourf(first, second, width, levels=levels, cmap="Blues_r", alpha=0.75)
+    share = rows.pivot_table(index=along, columns=across, values="decided").to_numpy()
+    if is_priors(share).any():
+        drawn = panel.contourf(first, second, share, levels=[-np.inf, PRIOR_BELOW], colors="none", hatches=[HATCH])
+        drawn.set_edgecolor(PRIOR_COLOUR)
+        drawn.set_linewidth(0.0)
     lines = panel.contour(first, second, width, levels=levels, colors="0.15", linewidths=0.8)
     _scale(panel, across, first, "x")
     _scale(panel, along, second, "y")
@@ -91,28 +102,47 @@ def _lines(panel: Axes, rows: pd.DataFrame, across: str) -> None:
     """Draw a colour for each case; broken lines are those without a beam along the axis, where both are there."""
     kinds = rows["centre"].nunique()
     for number, (case, some) in enumerate(rows.groupby(_CASE, sort=False)):
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         for centre, part in some.groupby("centre", sort=False):
             ordered = part.sort_values(across)
             broken = kinds == 2 and not centre
             panel.plot(
                 ordered[across],
                 ordered["width_ratio"],
-                "--o" if broken else "-o",
+                "--" if broken else "-",
                 color=colour,
-                markersize=3.0,
-                markerfacecolor="white" if broken else colour,
+                markersize=0.0,
                 linewidth=1.2,
                 label=", ".join(map(str, case))
                 + (f", {'with' if centre else 'without'} a centre beam" if kinds == 2 else ""),
             )
-    top = 1.08 * float(rows["width_ratio"].max())
+            of_prior = is_priors(ordered["decided"])
+            own: dict[str, Any] = {"color": colour}
+            for mask, style in ((~of_prior, own), (of_prior, PRIOR_MARK)):
+                chosen = ordered[mask]
+                panel.plot(chosen[across], chosen["width_ratio"], "o", markersize=4.5, **style)
+            panel.plot(ordered[across], _of_prior(ordered), ":", color=PRIOR_COLOUR, linewidth=1.5)
+    top = 1.08 * max(float(rows["width_ratio"].max()), float(_of_prior(rows).max()))
     panel.set_ylim(0.0, top)
-    own = float(_of_prior(rows).iloc[0])
-    if own <= top and rows["prior"].nunique() == 1:
-        panel.axhline(own, color="0.4", linestyle=":", linewidth=1.2, label="prior alone")
     _scale(panel, across, np.array(sorted(set(rows[across]))), "x")
     panel.grid(alpha=0.3)
+
+
+def _legend(figure: FigureBase, panel: Axes, rows: pd.DataFrame, *, of_lines: bool) -> None:
+    """Say what lines, marks and hatching are, below the panels."""
+    handles, _ = panel.get_legend_handles_labels() if of_lines else ([], [])
+    if is_priors(rows["decided"]).any():
+        mark = Line2D([], [], color=PRIOR_COLOUR, marker="o", mfc="white", linestyle="", label=PRIORS)
+        handles.append(mark if of_lines else prior_patch())
+    if of_lines:
+        label = "prior at the size uu + vv + ww"
+        handles.append(Line2D([], [], color=PRIOR_COLOUR, linestyle=":", linewidth=1.5, label=label))
+    if handles:
+        legend = figure.legend(
+            handles=handles, loc="outside lower center", ncols=min(len(handles), 3), fontsize=9, frameon=False
+        )
+        for text in legend.get_texts():
+            text.set_parse_math(False)
 
 
 def _scale(panel: Axes, name: str, values: FloatArray, which: str) -> None:
@@ -128,8 +158,8 @@ def _scale(panel: Axes, name: str, values: FloatArray, which: str) -> None:
 
 
 def _of_prior(rows: pd.DataFrame) -> pd.Series[float]:
-    """Return the prior's own 90 % width over the true uu."""
-    return rows["prior_width_90"] * rows["width_ratio"] / rows["width_90"]
+    """Return the prior's 90 % width at the record's size over the true uu."""
+    return rows["prior_width_90_at_size"] * rows["width_ratio"] / rows["width_90"]
 
 
 def _constant(posterior: pd.DataFrame) -> str:

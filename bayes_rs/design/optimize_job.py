@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from bayes_rs._version import __version__
 from bayes_rs.design.optimizing import ScanOptimum, optimize_scan
 from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.output import check_output_folder, output_folder, write_run
+from bayes_rs.pictures import COLOURS, POSTERIOR_COLOUR, Picture
 
-BEAM_COLOUR = "#1f4e79"
-OTHER_COLOUR = "#c26a16"
 _MOST_MARKED = 30  # beams that get their number in the picture
 
 
@@ -110,7 +108,7 @@ def summary_lines(best: ScanOptimum) -> list[str]:
     return lines
 
 
-def plot_optimum(best: ScanOptimum) -> Figure:
+def plot_optimum(best: ScanOptimum) -> Picture:
     """Draw the beams of an optimum on the plane across the axis, and what the starts have reached.
 
     Parameters
@@ -124,7 +122,7 @@ def plot_optimum(best: ScanOptimum) -> Figure:
         Left: where the beams cross the plane at the largest focus distance, with rings of equal opening angle and the
         limit; blocked sectors are shaded. Right: the criterion of each start, increasing, and of the well-known scans.
     """
-    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    figure = Picture(figsize=(10.0, 4.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw_beams(left, best)
     _draw_starts(right, best)
@@ -146,26 +144,32 @@ def _draw_beams(panel: Axes, best: ScanOptimum) -> None:
         edges = limit * np.stack([np.cos(sector), np.sin(sector)])
         panel.fill(np.append(edges[0], 0.0), np.append(edges[1], 0.0), color="0.88", linewidth=0.0)
     across = np.rad2deg(angles[:, 0]) * np.stack([np.cos(angles[:, 1]), np.sin(angles[:, 1])])
-    panel.plot(*across, "o", color=BEAM_COLOUR, markersize=8, clip_on=False, zorder=3)
+    panel.plot(*across, "o", color=POSTERIOR_COLOUR, markersize=8, clip_on=False, zorder=3)
     for number, (side, up) in enumerate(across.T[:_MOST_MARKED].tolist()):
         panel.annotate(str(number), (side, up), xytext=(6, 6), textcoords="offset points", fontsize=9)
     panel.set_aspect("equal")
     names = ("y", "z") if best.details["axis"] == "upwind" else ("x", "y")
-    panel.set_xlabel(f"opening angle towards {names[0]}, degrees")
-    panel.set_ylabel(f"opening angle towards {names[1]}, degrees")
-    panel.set_title(f"{len(angles)} beams, numbered in the order of the scan")
+    panel.set_xlabel(f"opening angle towards {names[0]} [°]")
+    panel.set_ylabel(f"opening angle towards {names[1]} [°]")
+    panel.set_title(f"{len(angles)} beams, numbered in the order of the scan", fontsize=10)
 
 
 def _draw_starts(panel: Axes, best: ScanOptimum) -> None:
-    panel.plot(np.arange(1, len(best.starts) + 1), best.starts, "o-", color=BEAM_COLOUR, label="starts of the search")
+    panel.plot(
+        np.arange(1, len(best.starts) + 1), best.starts, "o-", color=POSTERIOR_COLOUR, label="starts of the search"
+    )
     ceiling = 1.5 * max(best.starts[-1], best.value)
     for index, (name, value) in enumerate(best.references.items()):
         if value <= ceiling:
             style = (":", "--", "-.", (0, (1, 3)))[index % 4]
-            panel.axhline(value, color=OTHER_COLOUR, linestyle=style, linewidth=1.2, label=name)
+            panel.axhline(
+                value, color=COLOURS[1 + index % (len(COLOURS) - 1)], linestyle=style, linewidth=1.2, label=name
+            )
     panel.axhline(best.value, color="0.2", linewidth=1.0, label="the best scan")
-    panel.set_xlabel("start, from best to worst")
-    panel.set_ylabel(f"criterion {best.criterion!r} (less is better)")
+    panel.set_xlabel("start, from best to worst [1]")
+    panel.set_title("What the starts reached, beside well-known scans", fontsize=10)
+    panel.grid(alpha=0.3)
+    panel.set_ylabel(f"criterion {best.criterion!r} (less is better) [1]")
     low, high = panel.get_ylim()
     if high - low < 1e-3 * abs(best.value):  # starts that agree to rounding must not look like a slope
         panel.set_ylim(best.value - 5e-3 * abs(best.value), best.value + 5e-3 * abs(best.value))

@@ -32,7 +32,7 @@ from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.campaign import CampaignPrior
 
-_TEXTS = ("quantity", "bin", "name")
+_TEXTS = ("quantity", "bin", "name", "interval")
 _NUMBERS = (
     *("mean", "low", "high", "prob", "decided", "ess", "r_hat"),
     *("prior_mean", "prior_low", "prior_high"),
@@ -113,10 +113,12 @@ def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
         batch.wind_speed,
         group=None if batch.group is None else batch.group.tolist(),
         seed=options.seed,
+        interval=options.interval,
     )
     table = campaign_table(
         found,
         prob=options.prob,
+        interval=options.interval,
         wind_speed=job.wind_speed,
         stress_mean=job.mean,
         chosen=chosen,

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_words
 
 ALL = "all"
 """The bin of the rows that are of all records."""
@@ -35,12 +36,12 @@ def campaign_words(about: Mapping[str, Any], table: pd.DataFrame) -> list[str]:
         The means of the stresses, turbulence intensity with the shares that the data decided, and how the sampler did.
     """
     rows = table[table["bin"] == ALL].set_index("quantity")
-    percent = f"{100.0 * float(rows['prob'].iloc[0]):g} %"
+    which = interval_words(float(rows["prob"].iloc[0]), str(rows["interval"].iloc[0]))
     middle = ", ".join(f"{name} {_interval(rows.loc[name])}" for name in STRESSES)
     shares = ", ".join(f"{name} {share_words(float(rows['decided'][name]))}" for name in STRESSES)
     high = f"its 90 % quantile over the records {_interval(rows.loc['ti_p90'])}"
     return [
-        f"campaign of {about['n_record']} records, means with {percent} intervals, m² s⁻²: {middle}",
+        f"campaign of {about['n_record']} records, means, each with its {which}, m² s⁻²: {middle}",
         f"of these means the data decided (the rest is the prior's): {shares}",
         f"turbulence intensity {_interval(rows.loc['ti'])}, {high}; {sampler_words(about)}",
     ]

@@ -24,6 +24,7 @@ from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
 from bayes_rs.fits.words import DESCRIBED, describe, failure_lines, flag_lines, least_seen
+from bayes_rs.intervals import INTERVALS
 
 if TYPE_CHECKING:
     from bayes_rs.priors.campaign import CampaignPrior
@@ -67,6 +68,7 @@ class Fit(FitData):
         self,
         *,
         prob: float | None = None,
+        interval: str | None = None,
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
@@ -78,7 +80,10 @@ class Fit(FitData):
         Parameters
         ----------
         prob : float, optional
-            Probability of the intervals (equal tails); by default that of the fit. Another one needs the draws.
+            Probability of the intervals; by default that of the fit. Another one needs the draws.
+        interval : {"equal-tailed", "highest-density"}, optional
+            Which intervals: with as much probability below as above, or the narrowest; by default those of the fit.
+            The others need the draws.
         derived : sequence of str, optional
             Quantities beside the six stresses; by default those of the fit. Others need the draws. They are turbulence
             intensities ``"ti"`` (σ_u/U), ``"ti_v"``, ``"ti_w"``; ``"tke"``; ``"friction_velocity"``;
@@ -100,10 +105,10 @@ class Fit(FitData):
         -------
         table : DataFrame
             One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
-            sd, median and ends of the interval with equal tails, m² s⁻² for stresses; ``decided``; least squares on the
-            same variances and its standard error, NaN for stresses that the beams do not determine; Monte-Carlo
-            standard errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat, and flags in
-            words. Records that were not fitted have NaN.
+            sd, median and ends of the interval, m² s⁻² for stresses, with its probability and kind; ``decided``; least
+            squares on the same variances and its standard error, NaN for stresses that the beams do not determine;
+            Monte-Carlo standard errors of mean, sd, median and of the interval's ends; effective sample sizes, R-hat,
+            and flags in words. Records that were not fitted have NaN.
 
         Raises
         ------
@@ -124,8 +129,8 @@ class Fit(FitData):
         points, less the instrument's noise that the fit knows. In the lidar's frame it is left out.
 
         The Monte-Carlo errors follow from the effective sample sizes: of the mean sd/√n, of the sd ½ sd √((κ − 1)/n)
-        with the kurtosis κ, of the median and the ends those of the quantiles at their places. The shortest interval
-        slides a little over intervals of the same probability besides, which its ends' errors leave out.
+        with the kurtosis κ, of the median and the ends those of the quantiles at their places. The interval of
+        highest density slides over intervals of the same probability besides, which its ends' errors leave out.
         """
         own = self.settings["fit"]
         check_switch(campaign, what="campaign")
@@ -133,11 +138,17 @@ class Fit(FitData):
         if prob is not None:
             check_prob(prob)
         wanted = tuple(own["derived"]) if derived is None else tuple(as_items(derived, what="derived"))
-        as_made = (prob is None or prob == own["prob"]) and wanted == tuple(own["derived"]) and frame == "wind"
+        kind = own["interval"] if interval is None else check_choice(interval, tuple(INTERVALS), what="interval")
+        as_made = (
+            prob in (None, own["prob"])
+            and kind == own["interval"]
+            and wanted == tuple(own["derived"])
+            and frame == "wind"
+        )
         if campaign and not as_made:
             raise InputError(
                 "Of the records under the campaign no draws are kept: their summary has the intervals, quantities and "
-                "axes of the fit; leave prob, derived and frame out."
+                "axes of the fit; leave prob, interval, derived and frame out."
             )
         chosen = None if records is None else selected_records(records, self.n_record, lambda: self.time)
         shown = COLUMNS if columns is None else check_columns(columns)
@@ -145,7 +156,7 @@ class Fit(FitData):
             if campaign:
                 self._campaign_table(TABLE, [])  # says why there is none
             return self._of_table(SUMMARY if campaign else "summary", chosen, shown)
-        table = summarize(self, own["prob"] if prob is None else prob, wanted, frame)
+        table = summarize(self, own["prob"] if prob is None else prob, kind, wanted, frame)
         if chosen is not None:
             table = table[np.isin(table["record"].to_numpy(), chosen)].reset_index(drop=True)
         return table[list(shown)]
@@ -168,8 +179,9 @@ class Fit(FitData):
         -------
         table : DataFrame
             One row for each quantity and bin of wind speed (``"all"`` first): ``quantity``, ``bin``, posterior
-            ``mean``, ends ``low`` and ``high`` of the interval of probability ``prob``, ``n_record``, and the share
-            ``decided`` of it that the data decided. Quantities are those of `bayes_rs.campaign.campaign_table`.
+            ``mean``, ends ``low`` and ``high`` of the interval of probability ``prob`` and kind ``interval``,
+            ``n_record``, and the share ``decided`` of it that the data decided. Quantities are those of
+            `bayes_rs.campaign.campaign_table`.
 
         Raises
         ------
@@ -190,7 +202,8 @@ class Fit(FitData):
         -------
         table : DataFrame
             One row each: ``name``; posterior ``mean``, ``low``, ``high``; ``prior_mean``, ``prior_low``,
-            ``prior_high``; the share ``decided`` by the data; ``ess`` and ``r_hat``.
+            ``prior_high``, of 90 % intervals of the kind ``interval``; the share ``decided`` by the data; ``ess`` and
+            ``r_hat``.
 
         Raises
         ------
@@ -322,8 +335,8 @@ class Fit(FitData):
         run = self.run
         learnt = self.of_records("stresses_learnt")["stresses_learnt"]
         summary = self.of_stresses(*DESCRIBED)
-        prob = float(self.settings["fit"]["prob"])
-        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], prob, summary, learnt)
+        prob, interval = float(self.settings["fit"]["prob"]), str(self.settings["fit"]["interval"])
+        lines = describe(run["scan"], run["sight"], run["prior"], run["prior_widths"], prob, interval, summary, learnt)
         lines += least_seen(self.direction_medians())
         if not self.has_campaign:
             return [*lines, *no_campaign_words(self.run["campaign"])]

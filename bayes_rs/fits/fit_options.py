@@ -12,6 +12,7 @@ import numpy as np
 from bayes_rs._validation import check_choice, check_count, check_finite, check_non_negative, check_prob, check_seed
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.derived import check_derived
+from bayes_rs.intervals import EQUAL_TAILED, INTERVALS
 from bayes_rs.options import described, nearest, option, options_of
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.sampling import SAMPLERS
@@ -111,6 +112,12 @@ class FitOptions:
     )
     nuisances: Nuisances = option(Nuisances(), "What is uncertain beside R, and is averaged over", flag="")
     prob: float = option(0.9, "Probability of the credible intervals")
+    interval: str = option(
+        EQUAL_TAILED,
+        "Which credible intervals: equal-tailed, with as much probability below as above, or highest-density, the "
+        "narrowest",
+        choices=tuple(INTERVALS),
+    )
     derived: Sequence[str] = option(
         (), "Quantities in the summary beside the stresses", choices="bayes_rs.fits.derived:NAMES"
     )
@@ -153,6 +160,7 @@ class FitOptions:
                 "looks for no fronts and trends."
             )
         check_prob(self.prob)
+        check_choice(self.interval, tuple(INTERVALS), what="interval")
         object.__setattr__(self, "derived", (self.derived,) if isinstance(self.derived, str) else tuple(self.derived))
         check_derived(self.derived)
         if isinstance(self.instrument_noise, str):

@@ -34,6 +34,7 @@ _SUMMARY = {
     **dict.fromkeys(("sd", "prob", "ess_bulk", "ess_tail"), "size"),
     **_WHERE,
     "stress": "text",
+    "interval": "text",
     "flag": "text",
 }
 _POSTERIOR = {
@@ -54,11 +55,13 @@ _CAMPAIGN = {
         "bin": "text",
         **dict.fromkeys(_OF_CAMPAIGN, "amount"),
         "prob": "size",
+        "interval": "text",
         "n_record": "whole",
     },
     HYPER: {
         "name": "text",
         **dict.fromkeys((*_OF_CAMPAIGN, "prior_mean", "prior_low", "prior_high"), "amount"),
+        "interval": "text",
         "ess": "size",
         "r_hat": "number",
     },

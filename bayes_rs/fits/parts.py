@@ -132,6 +132,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
             flag=flag,
             derived=shared.options.derived,
             prob=shared.options.prob,
+            interval=shared.options.interval,
         ),
         "posterior": _posterior_table(found, part, flag),
     }
@@ -176,7 +177,14 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     found.put(
         found.summary,
         rows,
-        summarize_draws(chains.stress, shared.options.derived, batch.wind_speed[rows], shared.options.prob, known),
+        summarize_draws(
+            chains.stress,
+            shared.options.derived,
+            batch.wind_speed[rows],
+            shared.options.prob,
+            shared.options.interval,
+            known,
+        ),
     )
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
     matrix = covariance_of(flat, ddof=1)

@@ -34,7 +34,7 @@ from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.sizes import check_size, check_work
 
-LAYOUT = 4
+LAYOUT = 5
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
 PART_RECORDS = 128
 """Records of a part: what each worker loses at most when a run is interrupted."""
@@ -153,7 +153,7 @@ def plan_fit(
         "probe_volume": about_probe(noise, records),
         "prior": prior.in_words(),
         "prior_name": prior.name,
-        "prior_widths": [float(width) for width in prior.interval_widths(options.prob)],
+        "prior_widths": [float(width) for width in prior.interval_widths(options.prob, options.interval)],
         "length_scale": json.loads(records.attrs.get("length_scale_report", "null")),
         "instrument_noise": json.loads(records.attrs.get("instrument_noise_report", "null")),
         "nuisances": options.nuisances.in_words(),

@@ -19,6 +19,7 @@ from bayes_rs.fits.noise_choice import noise_and_records, with_median_length_sca
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_of
 from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.priors.registry import Prior
@@ -53,13 +54,14 @@ def prior_sensitivity(
     progress, say
         As in `fit`.
     **options
-        As in `fit`: ``prior`` is the prior whose width is varied, ``prob`` the probability of the central intervals.
+        As in `fit`: ``prior`` is the prior whose width is varied, ``prob`` the probability of the intervals,
+        ``interval`` their kind.
 
     Returns
     -------
     table : DataFrame
         One row for each factor and stress, medians over the records: ``prior_width`` and ``width``, widths of the
-        prior's and the posterior's central interval (m² s⁻²); ``width_ratio`` to that under the prior itself;
+        prior's and the posterior's interval (m² s⁻²); ``width_ratio`` to that under the prior itself;
         ``shift`` of the posterior median, in standard deviations of the posterior under the prior itself;
         ``decided`` as in `Fit.summary`; ``decided_by``, in words.
 
@@ -97,7 +99,7 @@ def prior_sensitivity(
     for factor in every:
         version = own.made_prior if factor == 1.0 else own.made_prior.widened(factor)
         result = fit(records, used, noise=made, progress=progress, **{**asked, "prior": version})
-        found[factor] = _Spread(result, version, own.prob)
+        found[factor] = _Spread(result, version, own.prob, own.interval)
     plain = found[1.0]
     if plain.width.size == 0:
         raise InputError("No record could be fitted, so there is nothing to compare: see the records' flags.")
@@ -130,15 +132,14 @@ def prior_sensitivity(
 class _Spread:
     """Centre and widths of the fitted records of one result, each of shape (n_record, 6)."""
 
-    def __init__(self, result: Fit, version: Prior, prob: float) -> None:
+    def __init__(self, result: Fit, version: Prior, prob: float, interval: str) -> None:
         stress = result.draws()[result.fitted]
         flat = stress.reshape(len(stress), stress.shape[1] * stress.shape[2], len(STRESSES))
-        levels = [0.5 - 0.5 * prob, 0.5, 0.5 + 0.5 * prob]
-        ends = np.quantile(flat, levels, axis=1) if len(flat) else np.empty((3, 0, len(STRESSES)))
-        self.median: FloatArray = ends[1]
-        self.width: FloatArray = ends[2] - ends[0]
+        self.median: FloatArray = np.median(flat, axis=1) if len(flat) else np.empty((0, len(STRESSES)))
+        low, high = interval_of(np.moveaxis(flat, 1, -1), prob, interval) if len(flat) else (self.median, self.median)
+        self.width: FloatArray = high - low
         self.sd: FloatArray = flat.std(axis=1)
-        self.prior_width: FloatArray = version.interval_widths(prob)
+        self.prior_width: FloatArray = version.interval_widths(prob, interval)
         table = result.summary()
         decided = table[table["stress"].isin(STRESSES)]["decided"].to_numpy(dtype=np.float64)
         self.decided: FloatArray = decided.reshape(-1, len(STRESSES))[result.fitted]

@@ -19,12 +19,13 @@ from bayes_rs.fits.groups import GROUPS
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.priors.campaign import CampaignPrior
 from bayes_rs.records.ranges import stack_ranges
 
 _QUANTITIES = ("ti", *STRESSES)
-_COLUMNS = ("quantity", "estimate", "low", "high", "prob", "decided", "n_record", "of")
+_COLUMNS = ("quantity", "estimate", "low", "high", "prob", "interval", "decided", "n_record", "of")
 """Of a profile, beside range and height."""
 _LISTED = 20
 """Lines of failures that are listed one by one."""
@@ -194,6 +195,7 @@ class RangedFit(Fit):
         self,
         *,
         prob: float | None = None,
+        interval: str | None = None,
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
@@ -204,7 +206,7 @@ class RangedFit(Fit):
 
         Parameters
         ----------
-        prob, derived, frame, campaign, records, columns
+        prob, interval, derived, frame, campaign, records, columns
             As for `Fit.summary`.
 
         Returns
@@ -220,7 +222,13 @@ class RangedFit(Fit):
         """
         return self._together(
             lambda own: own.summary(
-                prob=prob, derived=derived, frame=frame, campaign=campaign, records=records, columns=columns
+                prob=prob,
+                interval=interval,
+                derived=derived,
+                frame=frame,
+                campaign=campaign,
+                records=records,
+                columns=columns,
             )
         )
 
@@ -236,11 +244,11 @@ class RangedFit(Fit):
         -------
         table : DataFrame
             One row for each range and quantity (six stresses and ``ti``): ``range``, ``height`` if the scan looks up,
-            ``quantity``, ``estimate``, ``low``, ``high``, ``prob``, ``decided``, ``n_record``, and ``of``:
-            ``campaign`` where a campaign was learnt, and the numbers are mean and interval of the posterior of its
-            mean; ``median record`` where none was, and they are medians over the records of posterior medians and ends
-            of intervals, which are wider; ``record`` for one record, with its median. Ranges where the record was not
-            fitted have no row.
+            ``quantity``, ``estimate``, ``low``, ``high``, ``prob``, ``interval``, ``decided``, ``n_record``, and
+            ``of``: ``campaign`` where a campaign was learnt, and the numbers are mean and interval of the posterior of
+            its mean; ``median record`` where none was, and they are medians over the records of posterior medians and
+            ends of intervals, which are wider; ``record`` for one record, with its median. Ranges where the record was
+            not fitted have no row.
 
         Raises
         ------
@@ -391,9 +399,10 @@ class RangedFit(Fit):
             said = ", ".join(f"{row['quantity']} {_interval(row)}" for row in rows)
             fitted = self.fits[place]
             lines.append(f"{names[place]}, {fitted.n_fitted} of {fitted.n_record} records: {said}")
-        prob, of = 100.0 * float(table["prob"].iloc[0]), " or ".join(dict.fromkeys(table["of"]))
+        said = interval_words(float(table["prob"].iloc[0]), str(table["interval"].iloc[0]))
+        of = " or ".join(dict.fromkeys(table["of"]))
         lines.append(
-            f"turbulence intensity and stresses, m² s⁻², with {prob:g} % intervals ({of}); *: more the prior's than "
+            f"turbulence intensity and stresses, m² s⁻², each with its {said} ({of}); *: more the prior's than "
             "the data's"
         )
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
@@ -443,13 +452,15 @@ def _profile_of(fit: Fit) -> pd.DataFrame:
     table = _with_intensity(fit)
     middle = table.groupby("stress")[["median", "low", "high", "decided"]].median().reindex(list(_QUANTITIES))
     rows = middle.reset_index().rename(columns={"stress": "quantity", "median": "estimate"})
-    prob = float(table["prob"].iloc[0])
-    return rows.assign(prob=prob, n_record=fit.n_fitted, of="median record")[list(_COLUMNS)]
+    prob, kind = float(table["prob"].iloc[0]), str(table["interval"].iloc[0])
+    return rows.assign(prob=prob, interval=kind, n_record=fit.n_fitted, of="median record")[list(_COLUMNS)]
 
 
 def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
-    """Return the summary's rows of the stresses, and of the turbulence intensity, σ_u/U, of the same quantiles."""
-    table = fit.summary(records=record, columns=["record", "stress", "median", "low", "high", "prob", "decided"])
+    """Return the summary's rows of the stresses, and of the turbulence intensity, σ_u/U, by the same ends."""
+    table = fit.summary(
+        records=record, columns=["record", "stress", "median", "low", "high", "prob", "interval", "decided"]
+    )
     table = table[table["stress"].isin(STRESSES)]
     speed = fit.records["wind_speed"].values.astype(np.float64)
     ends = ["median", "low", "high"]

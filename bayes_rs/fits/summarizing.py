@@ -13,6 +13,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import INTENSITIES, with_derived
 from bayes_rs.fits.flags import flag_words
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_levels, interval_of_ordered, quantile_of_ordered
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 
@@ -26,6 +27,7 @@ COLUMNS: tuple[str, ...] = (
     "low",
     "high",
     "prob",
+    "interval",
     "decided",
     "least_squares",
     "least_squares_se",
@@ -49,6 +51,7 @@ def summarize_draws(
     derived: Sequence[str],
     wind_speed: FloatArray,
     prob: float,
+    interval: str,
     known: dict[str, FloatArray] | None = None,
 ) -> dict[str, FloatArray]:
     """Summarize draws of many records.
@@ -63,6 +66,8 @@ def summarize_draws(
         Mean wind speeds, m/s.
     prob : float
         Probability of the intervals.
+    interval : str
+        Which intervals, one of `INTERVALS`.
     known : dict of str to ndarray, shape (n_record, 6), optional
         Of the stresses: diagnostics, by the names in `DIAGNOSTICS`, where they are known already, and what there is of
         `OF_RECORD`.
@@ -90,14 +95,15 @@ def summarize_draws(
     variance = square.mean(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal have no kurtosis
         kurtosis = np.einsum("rqd,rqd->rq", square, square) / (ordered.shape[-1] * variance**2)
-    low, high = diagnostics.interval_of_ordered(ordered, prob)
+    low, high = interval_of_ordered(ordered, prob, interval)
+    below, above = interval_levels(ordered, prob, interval)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
     sd = np.sqrt(variance * ordered.shape[-1] / (ordered.shape[-1] - 1.0))
-    half, below = np.full(mean.shape, 0.5), np.full(mean.shape, 0.5 * (1.0 - prob))
+    half = np.full(mean.shape, 0.5)
     return {
         "mean": mean,
         "sd": sd,
-        "median": diagnostics.quantile_of_ordered(ordered, 0.5),
+        "median": quantile_of_ordered(ordered, 0.5),
         "low": low,
         "high": high,
         **_of_record(known or {}, names, n_record),
@@ -105,7 +111,7 @@ def summarize_draws(
         "mcse_sd": 0.5 * sd * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / bulk),
         "mcse_median": diagnostics.quantile_error(ordered, half, bulk),
         "mcse_low": diagnostics.quantile_error(ordered, below, tail),
-        "mcse_high": diagnostics.quantile_error(ordered, 1.0 - below, tail),
+        "mcse_high": diagnostics.quantile_error(ordered, above, tail),
         **diagnosed,
     }
 
@@ -130,6 +136,7 @@ def summary_frame(
     flag: NDArray[np.int64],
     derived: Sequence[str],
     prob: float,
+    interval: str,
 ) -> pd.DataFrame:
     """Lay out the columns of `summarize_draws` as a table, one row for each record and quantity.
 
@@ -143,6 +150,8 @@ def summary_frame(
         Derived quantities after the stresses.
     prob : float
         Probability of the intervals.
+    interval : str
+        Which intervals they are, one of `INTERVALS`.
 
     Returns
     -------
@@ -159,11 +168,12 @@ def summary_frame(
             "time": np.repeat(time, n_name),
             "stress": np.tile(np.array(names, dtype=object), n_record),
             "prob": prob,
+            "interval": interval,
             "flag": np.repeat(np.array([words[value] for value in flag.tolist()], dtype=object), n_name),
             **{
                 column: columns[column].ravel() if column in columns else missing
                 for column in COLUMNS
-                if column not in ("record", "time", "stress", "prob", "flag")
+                if column not in ("record", "time", "stress", "prob", "interval", "flag")
             },
         }
     )

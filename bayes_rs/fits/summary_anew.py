@@ -14,14 +14,16 @@ from bayes_rs.fits.frames import FRAMES, to_lidar_frame
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD, summarize_draws, summary_frame
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import INTERVALS
 from bayes_rs.posteriors import diagnostics
 from bayes_rs.posteriors.decided import PriorRoom, leading_variance, what_data_decided
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 
 
-def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> pd.DataFrame:
+def summarize(fit: FitData, prob: float, interval: str, derived: Sequence[str], frame: str) -> pd.DataFrame:
     """Summarize the draws of a fit anew; see `Fit.summary`."""
     check_prob(prob)
+    check_choice(interval, tuple(INTERVALS), what="interval")
     check_derived(derived)
     check_choice(frame, FRAMES, what="frame")
     records, table = fit.records, fit.table("summary")
@@ -39,10 +41,16 @@ def summarize(fit: FitData, prob: float, derived: Sequence[str], frame: str) -> 
             stress = to_lidar_frame(stress, yaw[:, None, None])  # noqa: PLW2901 - the same draws, turned
             diagnosed = _diagnosed_in_frame(stress, diagnosed)
             diagnosed["decided"] = _decided_in_lidar_frame(stress, fit, yaw)
-        for column, values in summarize_draws(stress, derived, wind_speed[rows], prob, diagnosed).items():
+        for column, values in summarize_draws(stress, derived, wind_speed[rows], prob, interval, diagnosed).items():
             columns.setdefault(column, np.full((fit.n_record, values.shape[1]), np.nan))[rows] = values
     return summary_frame(
-        columns, record=np.arange(fit.n_record), time=fit.time, flag=fit.flag, derived=derived, prob=prob
+        columns,
+        record=np.arange(fit.n_record),
+        time=fit.time,
+        flag=fit.flag,
+        derived=derived,
+        prob=prob,
+        interval=interval,
     )
 
 

@@ -12,6 +12,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.fits.direction_table import direction_words, median_of_known
 from bayes_rs.fits.flags import FAILURES, FLAGS, flag_words
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import interval_words
 
 _LISTED = 20
 """Failures that are listed one by one."""
@@ -92,6 +93,7 @@ def describe(
     prior: str,
     prior_widths: list[float],
     prob: float,
+    interval: str,
     summary: dict[str, FloatArray],
     learnt: FloatArray,
 ) -> list[str]:
@@ -105,6 +107,8 @@ def describe(
         Widths of the prior's intervals of the stresses, m² s⁻².
     prob : float
         Probability of the intervals.
+    interval : str
+        Which intervals they are.
     summary : dict of str to ndarray, shape (n_record, 6)
         `DESCRIBED` of the stresses; NaN where a record was not fitted.
     learnt : ndarray, shape (n_record,)
@@ -121,7 +125,9 @@ def describe(
     middle = {name: median_of_known(summary[name]) for name in ("median", "decided", "least_squares")}
     posterior = median_of_known(summary["high"] - summary["low"])
     for whose, widths in (("the prior", prior_widths), ("the posterior (median record)", posterior)):
-        lines.append(f"width of the {100.0 * prob:g} % interval under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}")
+        lines.append(
+            f"width of the {interval_words(prob, interval)}, under {whose}, m² s⁻²: {_of_stresses(widths, '.3g')}"
+        )
     lines.append(f"posterior medians (median record), m² s⁻²: {_of_stresses(middle['median'], '.3g')}")
     plain = _of_stresses(middle["least_squares"], ".3g")
     lines.append(f"least squares, no prior (median record; –: the beams do not tell it), m² s⁻²: {plain}")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR
+from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, Picture
 from bayes_rs.readers.looking import Look
 
 _TOPS = {0.0: "zero 90", 90.0: "zero 0, up\nor 180, down", 180.0: "zero 270", 270.0: "zero 0, down\nor 180, up"}
 """For which phase zeros, and turns, the top of the cone is at a phase."""
 
 
-def draw_look(found: Look) -> Figure:
+def draw_look(found: Look) -> Picture:
     """Draw the mean velocity over the phase or azimuth, with the phase zeros that there may be, and the first samples.
 
     Parameters
@@ -25,16 +24,16 @@ def draw_look(found: Look) -> Figure:
     figure : Figure
         What there is neither of is left empty.
     """
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    figure = Picture(figsize=(9.0, 3.8), layout="constrained")
     cone, series = figure.subplots(1, 2)
     known = np.isfinite(found.over_phase)
     cone.plot(
         found.phase_deg[known], found.over_phase[known], "o-", color=POSTERIOR_COLOUR, markersize=3, linewidth=0.8
     )
     for top, words in _TOPS.items() if found.angle == "phase" else ():
-        cone.axvline(top, color=PRIOR_COLOUR, linewidth=0.8, linestyle="--")
+        cone.axvline(top, color=OTHER_COLOUR, linewidth=0.8, linestyle="--")
         place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 7, "va": "top"}
-        cone.annotate(f"top for\n{words}", (top, 0.98), (3, 0), color=PRIOR_COLOUR, **place)
+        cone.annotate(f"top for\n{words}", (top, 0.98), (3, 0), color=OTHER_COLOUR, **place)
     cone.set_xlim(-5.0, 365.0)
     cone.set_xticks([0, 90, 180, 270, 360])
     cone.set_xlabel(f"{found.angle} (degrees)")

@@ -3,36 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.scan_words import looks_up, probe_in_words
-from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR
+from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, Picture, new_or_given
 
 _MOST_NAMED = 60
 """Beams that have their number beside them."""
 
 
-def scan(scan: Scan | str | Path) -> Figure:
+_Given = TypeVar("_Given", bound=FigureBase)
+
+
+def scan(scan: Scan | str | Path, *, figure: _Given | None = None) -> _Given | Picture:
     """Draw where the beams of a scan point, and to where.
 
     Parameters
     ----------
     scan : Scan, str or Path
         The scan, its name or file.
+    figure : Figure or SubFigure, optional
+        Where to draw.
 
     Returns
     -------
-    figure : Figure
-        Left the beams as the lidar sees them, joined in the order of time, degrees from its axis (of scans that look
-        up: from the zenith, north up, east right); then the measured points with tilt and yaw, from above and from the
-        side, m, with the full width of their probe volume at half its maximum.
+    figure : Figure or SubFigure
+        What was given, or a new figure. Left the beams as the lidar sees them, joined in the order of time, degrees
+        from its axis (of scans that look up: from the zenith, north up, east right); then the measured points with tilt
+        and yaw, from above and from the side, m, with the full width of their probe volume at half its maximum.
 
     Examples
     --------
@@ -41,8 +47,8 @@ def scan(scan: Scan | str | Path) -> Figure:
     3
     """
     shown = as_scan(scan)
-    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
-    angles, above, beside = figure.subplots(1, 3)
+    target = new_or_given(figure, (11.0, 4.4))
+    angles, above, beside = target.subplots(1, 3)
     _draw_angles(angles, shown)
     points = shown.line_of_sight * shown.focus_distance[:, np.newaxis]
     width = 2.0 if shown.probe.parameters().get("kind") == "continuous-wave" else 1.0  # of z_R; of a gate and its pulse
@@ -57,12 +63,12 @@ def scan(scan: Scan | str | Path) -> Figure:
     beside.set_xlabel(f"{far} (m)")
     beside.set_ylabel("height above the lidar (m)")
     seen = sight(shown)
-    figure.suptitle(
+    target.suptitle(
         f"{shown.name}: {shown.n_beam} beams, cycle of {shown.scan_duration:g} s; {seen.in_words()}\n"
         f"probe: {probe_in_words(shown.probe, shown.focus_distance)}",
         fontsize=10,
     )
-    return figure
+    return target  # type: ignore[return-value] # what was given, or new
 
 
 def _draw_angles(axis: Axes, scan: Scan) -> None:
@@ -96,7 +102,7 @@ def _draw_points(axis: Axes, place: FloatArray, half: FloatArray, title: str) ->
     """Draw the measured points, their probes, and thin lines to the lidar."""
     for (x, y), (dx, dy) in zip(place.T.tolist(), half.T.tolist(), strict=True):
         axis.plot([0.0, x], [0.0, y], color="0.85", linewidth=0.5, zorder=1)
-        axis.plot([x - dx, x + dx], [y - dy, y + dy], color=PRIOR_COLOUR, linewidth=2.0, alpha=0.6, zorder=2)
+        axis.plot([x - dx, x + dx], [y - dy, y + dy], color=OTHER_COLOUR, linewidth=2.0, alpha=0.6, zorder=2)
     axis.plot(*place, "o", color=POSTERIOR_COLOUR, markersize=3, zorder=3)
     axis.plot(0.0, 0.0, "s", color="0.2", markersize=6, zorder=4)
     axis.set_aspect("equal", adjustable="datalim")

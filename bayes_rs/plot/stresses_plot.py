@@ -1,26 +1,54 @@
-"""Stresses over time, with credible bands."""
+"""Stresses over time, with credible bands, and what of them the prior supplied."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_rs._validation import FloatArray, check_prob
+from bayes_rs._validation import FloatArray, check_choice, check_prob
 from bayes_rs.errors import InputError
+from bayes_rs.fits.campaign_words import share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.plot.style import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR, known_stresses
+from bayes_rs.intervals import INTERVALS, interval_of_ordered, interval_words, quantile_of_ordered
+from bayes_rs.pictures import (
+    BEHIND,
+    DATA_MARK,
+    OTHER_COLOUR,
+    POSTERIOR_COLOUR,
+    PRIOR_COLOUR,
+    PRIOR_MARK,
+    TRUTH_COLOUR,
+    Picture,
+    hatched,
+    new_or_given,
+    prior_patch,
+    reach_halfway,
+    with_middles,
+)
+from bayes_rs.plot.style import known_stresses, prior_band, prior_words
+from bayes_rs.posteriors.decided import is_priors
 
 MOST_POINTS = 3000
 """Records of which each is drawn; of more, medians over so many in a row that there are at most that many points."""
+_Given = TypeVar("_Given", bound=FigureBase)
 
 
-def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = None) -> Figure:
+def stresses(
+    fit: Fit,
+    *,
+    prob: float | None = None,
+    interval: str | None = None,
+    truth: ArrayLike | None = None,
+    figure: _Given | None = None,
+) -> _Given | Picture:
     """Draw the six stresses over time, with credible bands.
 
     Parameters
@@ -29,39 +57,49 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
         From `fit` or `open_fit`.
     prob : float, optional
         Probability of the wide band, by default that of the fit; the narrow one holds half.
+    interval : {"equal-tailed", "highest-density"}, optional
+        Which intervals the bands are; by default those of the fit.
     truth : array_like, shape (6,) or (n_record, 6), optional
         Known stresses to mark, the same for all records or each record's own, m² s⁻².
+    figure : Figure or SubFigure, optional
+        Where to draw.
 
     Returns
     -------
-    figure : Figure
-        Six panels: median, central 50 % band and central `prob` band; of a fit that kept no draws, median and
-        interval of its summary. Records that were not fitted or are flagged are marked below. Of more than
+    figure : Figure or SubFigure
+        What was given, or a new figure. Six panels: median, 50 % band and `prob` band; of a fit that kept no draws,
+        median and interval of its summary. Where the data decided less than half of a stress of a record
+        (`is_priors`), both are hatched grey. Behind them is the prior's band at the record's size
+        (`prior_interval_at_size`). Records that were not fitted or are flagged are marked below. Of more than
         `MOST_POINTS` records, points are medians over records in a row.
 
     Raises
     ------
     InputError
-        If `prob` is not between 0 and 1, or is another one than that of a fit without draws, or the truth has the wrong
-        shape or is not finite.
+        If `prob` is not between 0 and 1, `prob` or `interval` is another one than that of a fit without draws, or the
+        truth has the wrong shape or is not finite.
     """
-    prob = float(fit.settings["fit"]["prob"]) if prob is None else check_prob(prob)
+    own = fit.settings["fit"]
+    prob = float(own["prob"]) if prob is None else check_prob(prob)
+    kind = str(own["interval"]) if interval is None else check_choice(interval, tuple(INTERVALS), what="interval")
     marks = None if truth is None else known_stresses(truth, fit.n_record)
-    bands, names = _bands(fit, prob)
+    bands, names = _bands(fit, prob, kind)
+    values = np.concatenate([bands, prior_band(fit, prob, kind), fit.of_stresses("decided")["decided"][np.newaxis]])
     # the starts of a fleet's records come again with every turbine: its axis is that of the numbers
     has_time = not np.isnat(fit.time).any() and bool(np.all(np.diff(fit.time) > np.timedelta64(0, "ns")))
     size = -(-fit.n_record // MOST_POINTS)
     of_points = np.arange(0, fit.n_record, size)
     when: NDArray[Any] = (fit.time if has_time else np.arange(fit.n_record))[of_points]
-    figure = Figure(figsize=(11.0, 11.0), layout="constrained")
-    axes = figure.subplots(6, 1, sharex=True)
+    target = new_or_given(figure, (11.0, 12.0))
+    axes = target.subplots(6, 1, sharex=True)
     marked = np.unique(np.flatnonzero(fit.flag != 0) // size)
     if size > 1:
-        bands = np.stack([_medians(bands[:, first : first + size]) for first in of_points.tolist()], axis=1)
+        values = np.stack([_medians(values[:, first : first + size]) for first in of_points.tolist()], axis=1)
         names = [f"{name}, medians over {size} records" for name in names]
     truth_style = _truth_style(fit.n_record)
     for index, (axis, name) in enumerate(zip(axes, STRESSES, strict=True)):
-        _draw_bands(axis, when, bands[..., index])
+        _draw_bands(axis, when, values[: len(bands), :, index], values[-3:-1, :, index], values[-1, :, index])
+        axis.set_title(_decided_words(values[-1, :, index]), loc="right", fontsize=9, pad=3)
         if marks is not None:
             axis.plot(when, marks[of_points, index], **truth_style)
         if index >= 3:
@@ -70,60 +108,121 @@ def stresses(fit: Fit, *, prob: float | None = None, truth: ArrayLike | None = N
         axis.grid(alpha=0.3)
         if len(marked):
             _mark_flagged(axis, when[marked])
-    handles = [
-        Line2D([], [], color=POSTERIOR_COLOUR, label="median"),
-        *(
-            Line2D([], [], color=POSTERIOR_COLOUR, alpha=alpha, linewidth=8, label=label)
-            for alpha, label in zip((0.4, 0.2)[-len(names) :], names, strict=True)
-        ),
-    ]
+    handles = _handles(values[-1], names, prior_words(prob, kind))
     if marks is not None:
         handles.append(Line2D([], [], **truth_style, label="truth"))
     if len(marked):
-        style: dict[str, Any] = {"color": PRIOR_COLOUR, "marker": "|", "linestyle": "", "markersize": 9}
+        style: dict[str, Any] = {"color": OTHER_COLOUR, "marker": "|", "linestyle": "", "markersize": 9}
         handles.append(Line2D([], [], **style, label="flagged record"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    target.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     axes[-1].set_xlabel("start of the record (UTC)" if has_time else "record")
     if has_time:
         _date_axis(axes[-1])
     words = f"{fit.run['scan']}: {fit.run['sight']}; prior {fit.run['prior_name']}"
-    figure.suptitle(words, fontsize=11, parse_math=False)  # a name may hold a dollar sign
-    return figure
+    target.suptitle(words, fontsize=11, parse_math=False)  # a name may hold a dollar sign
+    return target  # type: ignore[return-value] # what was given, or new
 
 
-def _bands(fit: Fit, prob: float) -> tuple[FloatArray, list[str]]:
+def _bands(fit: Fit, prob: float, kind: str) -> tuple[FloatArray, list[str]]:
     """Return levels of the stresses, shape (5 or 3, n_record, 6), NaN where not fitted, and the names of the bands."""
     if fit.has_draws:
-        levels = [0.5 * (1.0 - prob), 0.25, 0.5, 0.75, 0.5 * (1.0 + prob)]
-        bands = np.full((len(levels), fit.n_record, len(STRESSES)), np.nan)
+        bands = np.full((5, fit.n_record, len(STRESSES)), np.nan)
         for rows, draws in fit.batches():
-            bands[:, rows] = np.quantile(draws.reshape(len(rows), -1, len(STRESSES)), levels, axis=1)
-        return bands, ["central 50 %", f"central {100 * prob:g} %"]
-    own = fit.settings["fit"]["prob"]
-    if prob != own:
-        raise InputError(
-            f"Invalid prob {prob:g}: this fit kept no draws, and its summary holds intervals of {own:g}; leave it out, "
-            "or fit again with draws='float32'."
-        )
+            ordered = np.sort(np.moveaxis(draws.reshape(len(rows), -1, len(STRESSES)), 1, -1), axis=-1)
+            wide, narrow = (interval_of_ordered(ordered, share, kind) for share in (prob, 0.5))
+            levels = (wide[0], narrow[0], quantile_of_ordered(ordered, 0.5), narrow[1], wide[1])
+            bands[:, rows] = np.stack(levels)
+        return bands, [interval_words(0.5, kind), interval_words(prob, kind)]
+    own = fit.settings["fit"]
+    for name, asked in (("prob", prob), ("interval", kind)):
+        if asked != own[name]:
+            raise InputError(
+                f"Invalid {name} {asked}: this fit kept no draws, and its summary holds the intervals "
+                f"{interval_words(own['prob'], own['interval'])}; leave it out, or fit again with draws='float32'."
+            )
     columns = fit.of_stresses("low", "median", "high")
-    return np.stack(list(columns.values())), [f"{100 * prob:g} % interval, equal tails"]
+    return np.stack(list(columns.values())), [interval_words(prob, kind)]
 
 
-def _medians(bands: FloatArray) -> FloatArray:
-    """Return the medians of levels (n_level, n_record, 6) over the fitted records; NaN if there are none."""
-    fitted = np.isfinite(bands).all(axis=(0, 2))
-    return np.median(bands[:, fitted], axis=1) if fitted.any() else np.full((len(bands), bands.shape[2]), np.nan)
+def _medians(values: FloatArray) -> FloatArray:
+    """Return the medians of values (n, n_record, 6) over the fitted records; NaN if there are none."""
+    fitted = np.isfinite(values[0]).all(axis=1)
+    return np.median(values[:, fitted], axis=1) if fitted.any() else np.full((len(values), values.shape[2]), np.nan)
 
 
-def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray) -> None:
-    """Draw the bands of one stress, levels (5 or 3, n_record)."""
-    low, middle, high = bands[0], bands[len(bands) // 2], bands[-1]
+def _decided_words(decided: FloatArray) -> str:
+    """Say what the data decided of one stress, shares (n_point,)."""
+    known = decided[np.isfinite(decided)]
+    if not len(known):
+        return ""
+    share, count = share_words(float(np.median(known))), int(is_priors(known).sum())
+    if len(known) == 1:
+        return f"{'mostly the prior’s: ' if count else ''}the data decided {share}"
+    where = {0: "", len(known): "mostly the prior’s: "}.get(count, f"mostly the prior’s in {count} of {len(known)}: ")
+    return f"{where}the data decided {share} (median)"
+
+
+def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: FloatArray, decided: FloatArray) -> None:
+    """Draw the bands of one stress, levels (5 or 3, n_point): those of the data blue, those of the prior hatched."""
+    fitted = np.isfinite(bands[0])
+    of_prior = is_priors(decided) & fitted
     if len(when) == 1:
-        axis.errorbar(when, middle, yerr=np.abs([low - middle, high - middle]), fmt="o", color=POSTERIOR_COLOUR)
+        _draw_one(axis, when, bands, behind, of_prior=bool(of_prior[0]))
         return
-    for outer, alpha in zip(range(len(bands) // 2), (0.2, 0.4), strict=False):
-        axis.fill_between(when, bands[outer], bands[-1 - outer], color=POSTERIOR_COLOUR, alpha=alpha, linewidth=0)
-    axis.plot(when, middle, color=POSTERIOR_COLOUR, linewidth=1.2, marker="." if len(when) < 40 else "")
+    axis.fill_between(when, *behind, **BEHIND)
+    at, levels = with_middles(when, bands)
+    marker = "o" if len(when) < 40 else ""
+    blue: dict[str, Any] = {"color": POSTERIOR_COLOUR, "linewidth": 0}
+    grey: dict[str, Any] = {"color": PRIOR_COLOUR, "linewidth": 0, "alpha": 0.3}
+    for mask, style, line, faces in (
+        (fitted & ~of_prior, DATA_MARK, "-", ({**blue, "alpha": 0.25}, {**blue, "alpha": 0.45})),
+        (of_prior, PRIOR_MARK, "--", (hatched(linewidth=0.8), grey)),
+    ):
+        if not mask.any():
+            continue
+        where = reach_halfway(mask)
+        for outer, face in zip(range(len(bands) // 2), faces, strict=False):
+            axis.fill_between(at, levels[outer], levels[-1 - outer], where=where.tolist(), **face)
+        middle = len(bands) // 2
+        axis.plot(at, np.where(where, levels[middle], np.nan), linewidth=1.2, linestyle=line, **style)
+        axis.plot(when[mask], bands[middle][mask], linestyle="", marker=marker, markersize=3.5, **style)
+        alone = mask & _alone(fitted)
+        if alone.any():  # no band reaches it
+            ends = np.abs(bands[[0, -1]] - bands[middle])[:, alone]
+            axis.errorbar(when[alone], bands[middle][alone], yerr=ends, fmt="o", markersize=4, capsize=2, **style)
+
+
+def _alone(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which points have no neighbour, shape (n_point,)."""
+    padded = np.concatenate([[False], fitted, [False]])
+    return np.asarray(fitted & ~padded[:-2] & ~padded[2:])
+
+
+def _draw_one(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: FloatArray, *, of_prior: bool) -> None:
+    """Draw a single record: a point with bars, on the prior's."""
+    low, middle, high = bands[0], bands[len(bands) // 2], bands[-1]
+    axis.vlines(when, *behind, color=PRIOR_COLOUR, alpha=0.25, linewidth=14)
+    style = PRIOR_MARK if of_prior else DATA_MARK
+    bars = axis.errorbar(when, middle, yerr=np.abs([low - middle, high - middle]), fmt="o", capsize=3, **style)
+    if of_prior:
+        for line in bars[2]:
+            line.set_linestyle("--")
+
+
+def _handles(decided: FloatArray, names: list[str], behind: str) -> list[Artist]:
+    """Return the legend's handles: of the data's and of the prior's parts, those that there are."""
+    known = decided[np.isfinite(decided)]
+    priors = is_priors(known)
+    found: list[Artist] = []
+    if not priors.all() or not len(known):
+        found.append(Line2D([], [], color=POSTERIOR_COLOUR, label="median"))
+        found += [
+            Patch(color=POSTERIOR_COLOUR, alpha=alpha, linewidth=0, label=name)
+            for alpha, name in zip((0.6, 0.25)[-len(names) :], names, strict=True)
+        ]
+    if priors.any():
+        found.append(prior_patch())
+    return [*found, Patch(**BEHIND, label=behind)]
 
 
 def _truth_style(n_record: int) -> dict[str, Any]:
@@ -136,7 +235,7 @@ def _mark_flagged(axis: Axes, when: NDArray[Any]) -> None:
         when,
         np.zeros(len(when)),
         "|",
-        color=PRIOR_COLOUR,
+        color=OTHER_COLOUR,
         transform=axis.get_xaxis_transform(),
         clip_on=False,
         markersize=9,

@@ -1,4 +1,4 @@
-"""Colours of the figures, and the truth that they mark."""
+"""What pictures of fits share: the truth that they mark, and what of a fit is the prior's."""
 
 from __future__ import annotations
 
@@ -7,11 +7,24 @@ from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, as_numbers, check_array
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.intervals import EQUAL_TAILED, interval_words
+from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
 
-POSTERIOR_COLOUR = "#1f4e79"
-PRIOR_COLOUR = "#c26a16"
-TRUTH_COLOUR = "#1b7837"
+
+def prior_band(fit: Fit, prob: float, interval: str = EQUAL_TAILED) -> FloatArray:
+    """Return the interval of the prior at the size of each record's posterior, shape (2, n_record, 6), m² s⁻².
+
+    It is of `prior_interval_at_size`: all pictures draw this behind a posterior. NaN where a record was not fitted.
+    """
+    mean, sd = sizes_of(fit.of_stresses("mean")["mean"], fit.covariance())
+    return np.stack(prior_interval_at_size(fit.prior_draws, mean, sd, prob, interval))
+
+
+def prior_words(prob: float, interval: str) -> str:
+    """Return what the legend calls the prior's band."""
+    return f"prior at the size uu + vv + ww, {interval_words(prob, interval)}"
 
 
 def known_stresses(truth: ArrayLike, n_record: int) -> FloatArray:

@@ -14,6 +14,7 @@ from scipy.special import ndtri
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.intervals import quantile_of_ordered
 
 
 @dataclass(frozen=True)
@@ -186,38 +187,6 @@ def _windowed_time(covariance: FloatArray, window: float) -> tuple[FloatArray, N
     return np.take_along_axis(times, cut[..., None], axis=-1)[..., 0], np.asarray(closed)
 
 
-def central_interval(draws: FloatArray, prob: float) -> tuple[FloatArray, FloatArray]:
-    """Return the interval with equal tails: as many draws lie below it as above.
-
-    Parameters
-    ----------
-    draws : ndarray, shape (..., n_draw)
-        Draws.
-    prob : float
-        Share of the draws within, between 0 and 1.
-
-    Returns
-    -------
-    low, high : ndarray, shape (...)
-        Ends of the interval.
-
-    Notes
-    -----
-    Its ends are quantiles, so those of a function that only grows, as √uu/U of uu, are the function's values at the
-    ends. The shortest interval is not: of a variance that is hardly known it leaves out large values that the interval
-    of its logarithm holds.
-    """
-    if not 0.0 < prob < 1.0:
-        raise InputError(f"Invalid prob {prob!r}: it must be between 0 and 1.")
-    return interval_of_ordered(np.sort(draws, axis=-1), prob)
-
-
-def interval_of_ordered(ordered: FloatArray, prob: float) -> tuple[FloatArray, FloatArray]:
-    """Return the interval with equal tails of draws in order, smallest first; shapes as in `central_interval`."""
-    tail = 0.5 * (1.0 - prob)
-    return quantile_of_ordered(ordered, tail), quantile_of_ordered(ordered, 1.0 - tail)
-
-
 def quantile_error(ordered: FloatArray, level: FloatArray, ess: FloatArray) -> FloatArray:
     """Return the Monte-Carlo standard error of quantiles.
 
@@ -283,14 +252,6 @@ def _score_table(n: int) -> FloatArray:
     """Return the normal scores of the ranks 1, 1½, … n of n draws, shape (2 n − 1,)."""
     rank = 1.0 + 0.5 * np.arange(2 * n - 1)
     return np.asarray(ndtri((rank - 0.375) / (n + 0.25)))
-
-
-def quantile_of_ordered(ordered: FloatArray, level: float) -> FloatArray:
-    """Return a quantile of draws in order, (..., n), by linear interpolation between them."""
-    position = level * (ordered.shape[-1] - 1)
-    below = int(position)
-    above = min(below + 1, ordered.shape[-1] - 1)
-    return np.asarray(ordered[..., below] + (position - below) * (ordered[..., above] - ordered[..., below]))
 
 
 def _plain_r_hat(draws: FloatArray) -> FloatArray:

@@ -50,10 +50,10 @@ def prior_interval_at_size(
 
     Notes
     -----
-    The prior's shape R/(uu + vv + ww) is multiplied by a log-normal size of the posterior's mean and standard deviation,
-    independent of it. Where the interval of a posterior fills this one, the data said nothing of the stress but its
-    size. The ends over the size depend on its relative uncertainty alone, so they are found at `_NODES` values of it,
-    and interpolated.
+    The prior's shape R/(uu + vv + ww) is multiplied by a log-normal size of the posterior's mean and standard
+    deviation, independent of it. Where the interval of a posterior fills this one, the data said nothing of the stress
+    but its size. The ends over the size depend on its relative uncertainty alone, so they are found at `_NODES` values
+    of it, and interpolated.
     """
     shape = shapes_of(prior[:_MOST_DRAWS])
     log_sd = np.sqrt(np.log1p((np.maximum(sd, _LEAST * mean) / mean) ** 2))
@@ -74,6 +74,6 @@ def prior_interval_at_size(
 
 
 def _normal_scores(n: int) -> FloatArray:
-    from scipy.special import ndtri  # noqa: PLC0415 - only where pictures are drawn
+    import scipy  # noqa: PLC0415 - only where pictures are drawn
 
-    return np.asarray(ndtri((np.arange(n) + 0.5) / n))
+    return np.asarray(scipy.special.ndtri((np.arange(n) + 0.5) / n))

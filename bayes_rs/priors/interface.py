@@ -9,8 +9,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, as_generator, check_count, check_prob
+from bayes_rs._validation import FloatArray, as_generator, check_count
 from bayes_rs.errors import InputError
+from bayes_rs.intervals import EQUAL_TAILED, interval_of
 from bayes_rs.sizes import check_size
 
 N_COORDINATE = 6
@@ -52,15 +53,14 @@ class Prior(ABC):
         check_size(f"{count} draws of the prior", 400.0 * count, "draw fewer.")
         return self.stress(self.draw_coordinate(count, as_generator(seed)))
 
-    def interval_widths(self, prob: float = 0.9) -> FloatArray:
-        """Return the width of the central interval of each stress, shape (6,), m² s⁻².
+    def interval_widths(self, prob: float = 0.9, interval: str = EQUAL_TAILED) -> FloatArray:
+        """Return the width of the interval of each stress, shape (6,), m² s⁻².
 
         From 200 000 draws with a fixed seed; the relative error is below a per cent for 90 % unless the prior's tails
         are very long.
         """
-        check_prob(prob)
-        ends = np.quantile(self.draw(_WIDTH_DRAWS, _WIDTH_SEED), [0.5 - 0.5 * prob, 0.5 + 0.5 * prob], axis=0)
-        return np.asarray(ends[1] - ends[0])
+        low, high = interval_of(self.draw(_WIDTH_DRAWS, _WIDTH_SEED).T, prob, interval)
+        return np.asarray(high - low)
 
     def widened(self, factor: float) -> Self:
         """Return the same prior with all its widths multiplied by `factor`: for checks of what the prior decides."""

@@ -12,6 +12,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
+from bayes_rs.pictures import PRIORS
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.layout import TURBINE
 from bayes_rs.report.figures import bits
@@ -148,7 +149,7 @@ def beside_section(beside: Beside) -> str:
     caption = (
         key("band", f"{one}: {called}")
         + key("band other", f"{other}: {called}")
-        + key("hatch", "hatched: more the prior's than the data's")
+        + key("hatch", f"hatched: {PRIORS}")
         + key("apart", "the intervals do not overlap")
         + "Of more than 600 records, medians over neighbours."
     )

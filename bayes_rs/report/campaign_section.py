@@ -13,7 +13,8 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, campaign_words, share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.intervals import EQUAL_TAILED, interval_words
+from bayes_rs.intervals import interval_words
+from bayes_rs.pictures import PRIORS
 from bayes_rs.plot.campaign_plot import record_means, speed_bins
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.packing import plain
@@ -126,7 +127,7 @@ def _words(shown: CampaignShown) -> str:
 
 
 def _pictures(shown: CampaignShown, reference: str) -> str:
-    prior = key("point priors", "hollow grey: more the prior's than the data's")
+    prior = key("point priors", f"hollow grey: {PRIORS}")
     called = _called(shown)
     means = (
         key("point", f"mean of the campaign, {called}")
@@ -141,7 +142,7 @@ def _pictures(shown: CampaignShown, reference: str) -> str:
     )
     hyper = (
         key("size", f"posterior, {_hyper_called(shown)}")
-        + key("size priors", "more the prior's than the data's")
+        + key("size priors", PRIORS)
         + key("room", "interval of the prior")
         + "Beside each: its mean and interval, and the share that the data decided."
     )
@@ -154,15 +155,11 @@ def _pictures(shown: CampaignShown, reference: str) -> str:
 
 def _called(shown: CampaignShown) -> str:
     """Return the name of the intervals of the campaign's table."""
-    return interval_words(float(shown.table["prob"].iloc[0]), _kind(shown.table))
+    return interval_words(float(shown.table["prob"].iloc[0]), str(shown.table["interval"].iloc[0]))
 
 
 def _hyper_called(shown: CampaignShown) -> str:
-    return interval_words(_HYPER_PROB, _kind(shown.hyper))
-
-
-def _kind(table: pd.DataFrame) -> str:
-    return str(table["interval"].iloc[0]) if "interval" in table else EQUAL_TAILED
+    return interval_words(_HYPER_PROB, str(shown.hyper["interval"].iloc[0]))
 
 
 def _whole_table(shown: CampaignShown) -> str:

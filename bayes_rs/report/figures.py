@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.summarizing import OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.decided import PRIOR_BELOW, is_priors
@@ -210,13 +209,15 @@ def decided_data(found: ReportData) -> dict[str, Any] | None:
 
 
 def shape_data(found: ReportData) -> dict[str, Any] | None:
-    """Return where the posterior means are in the Lumley triangle; None if no record was fitted."""
+    """Return the records' points in the Lumley triangle, by `shape_points`; None if no record was fitted."""
     rows = np.flatnonzero(found.fitted)
     if not len(rows):
         return None
     some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_SHAPE_POINTS)).round().astype(np.int64))
-    xi, eta = lumley_coordinates(found.numbers["mean"][rows[some]])
-    return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
+    xi, eta = found.shape.middle[rows[some]].T
+    priors = is_priors(found.numbers["decided"][rows[some], :3]).any(axis=1)  # as `shape_is_priors` has it
+    points = {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta), "priors": priors.astype(int).tolist()}
+    return {**points, "words": found.shape.words}
 
 
 def _hundredths(values: FloatArray) -> str:

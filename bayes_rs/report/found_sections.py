@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.intervals import interval_words
+from bayes_rs.pictures import PRIORS
 from bayes_rs.report import words
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import UNIT, figure, folded, key, lines, number, table
@@ -20,7 +20,7 @@ def decided_section(found: ReportData, data: dict[str, Any]) -> str:
     said = lines(words.decided_words(found))
     caption = (
         key("size", "what the data decided of the stress")
-        + key("size priors", "less than half: more the prior's than the data's")
+        + key("size priors", PRIORS)
         + "1: it is the data's; 0: it is the prior's; below 0, it leans on the prior more than the prior's own width. "
         "Dots: median record; lines: nine tenths of the records. Least squares (below) uses no prior: all beams count "
         "alike and as points, and a stress that the record's beams do not determine has none."
@@ -57,7 +57,7 @@ def intensity_section(found: ReportData, data: dict[str, Any]) -> str:
     caption = (
         (key("dot", f"records, each with its {called}") + key("hollow", "flagged") if "points" in known else "")
         + key("middle", "median over 1 m/s")
-        + (key("hatch", "hatched, dashed or hollow grey: more the prior's") if 1 in known["priors"] else "")
+        + (key("hatch", f"hatched, dashed or hollow grey: {PRIORS}") if 1 in known["priors"] else "")
         + (
             ""
             if "points" in known
@@ -86,16 +86,17 @@ def shape_section(found: ReportData, data: dict[str, Any]) -> str:
     if data["shape"] is None:
         return ""
     caption = (
-        key("dot", "posterior mean of each record")
+        (key("dot", f"each record: {found.shape.words}") if 0 in data["shape"]["priors"] else "")
+        + (key("dot priors", f"hollow grey: {PRIORS} of uu, vv or ww") if 1 in data["shape"]["priors"] else "")
         + (key("cloud", "draws of the chosen record") if "draws" in data["records"] else "")
-        + key("chosen", "the chosen record")
+        + key("chosen", f"the chosen record: {found.shape.words}")
         + "The Lumley triangle: every realizable tensor is inside; bottom, all three principal variances are equal; "
         "right corner, only one is not zero; upper curve, one is zero."
     )
-    points = lumley_coordinates(found.numbers["mean"][found.fitted])
+    points = found.shape.middle[found.fitted].T
     rows = [
         (name, *(number(value) for value in np.quantile(values, [0.05, 0.5, 0.95]).tolist()))
         for name, values in zip(("ξ", "η"), points, strict=True)
     ]
-    content = table("Shape of the posterior means over the records", ("coordinate", "5 %", "median", "95 %"), rows)
+    content = table("Shape over the records", ("coordinate", "5 %", "median", "95 %"), rows)
     return figure("shape", caption, folded("Table: shape of the tensor", content))

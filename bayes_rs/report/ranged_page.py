@@ -15,7 +15,8 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.headline import headline_of_ranges
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.intervals import EQUAL_TAILED, interval_words
+from bayes_rs.intervals import interval_words
+from bayes_rs.pictures import PRIORS
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.report import describe_report
 from bayes_rs.report.figures import bits, in_ms
@@ -72,7 +73,7 @@ def render_ranges(found: RangedFit, links: Mapping[int, str], *, title: str | No
     lead = f'<p class="lead">{escape(_LEAD)} {escape(str(first.run["sight"]))}</p>'
     data = {
         "prob": float(rows["prob"].iloc[0]),
-        "interval": _kind(rows),
+        "interval": str(rows["interval"].iloc[0]),
         "duration": 1e3 * float(first.records.attrs.get("duration", 600.0)),
         "profile": {**_together(rows), "records": records},
     }
@@ -128,10 +129,6 @@ def _numbers_of(fit: Fit, rows: NDArray[np.int64]) -> tuple[FloatArray, NDArray[
     return np.concatenate([ti, values], axis=1), np.concatenate([priors[:, :1], priors], axis=1)
 
 
-def _kind(rows: pd.DataFrame) -> str:
-    return str(rows["interval"].iloc[0]) if "interval" in rows else EQUAL_TAILED
-
-
 def _together(rows: pd.DataFrame) -> dict[str, Any]:
     """Return the profile of all records for the script."""
     upright = "height" in rows
@@ -156,8 +153,8 @@ def _doubts(found: RangedFit) -> bool:
 
 
 def _profile_section(rows: pd.DataFrame, picker: str) -> str:
-    called = interval_words(float(rows["prob"].iloc[0]), _kind(rows))
-    caption = key("point", f"estimate, {called}") + key("point priors", "hollow grey: more the prior's than the data's")
+    called = interval_words(float(rows["prob"].iloc[0]), str(rows["interval"].iloc[0]))
+    caption = key("point", f"estimate, {called}") + key("point priors", f"hollow grey: {PRIORS}")
     return picker + figure("profile", caption, f'<div id="profile-table">{_table(rows)}</div>')
 
 
@@ -197,7 +194,7 @@ def _table(rows: pd.DataFrame) -> str:
                 ),
             ]
         )
-    called = interval_words(float(rows["prob"].iloc[0]), _kind(rows))
+    called = interval_words(float(rows["prob"].iloc[0]), str(rows["interval"].iloc[0]))
     of = " or ".join(dict.fromkeys(rows["of"]))
     return table(f"Turbulence intensity and stresses, {UNIT}, each with its {called} ({of}); {STAR}", header, cells)
 

@@ -112,7 +112,7 @@ def reference_section(found: ReportData, reference: Reference) -> str:
     )
     verdict = [numbers, _SCOPE]
     if 2 * of_priors.sum() > len(of_priors):
-        verdict.append("In most records uu, and so turbulence intensity, is more the prior's than the data's.")
+        verdict.append("In most records uu, and so turbulence intensity, is mostly the prior's.")
     caption = (
         key("middle", "lidar, mean of the posterior medians")
         + key("reference", reference.name)

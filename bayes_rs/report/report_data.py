@@ -16,9 +16,9 @@ from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.headline import Headline, headline_of
+from bayes_rs.fits.shape_points import SHAPE_NAMES, ShapePoints, shape_points
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.intervals import EQUAL_TAILED
 from bayes_rs.report.campaign_section import CampaignShown, campaign_shown
 
 NUMBERS = ("median", "low", "high", "mean", "sd", *OF_RECORD, *DIAGNOSTICS)
@@ -61,6 +61,8 @@ class ReportData:
         As from `Fit.direction_medians`.
     sight, prior, target : str
         In words.
+    shape : ShapePoints
+        The records' points in Lumley's triangle.
     campaign : CampaignShown or str
         The campaign, or why there is none.
     """
@@ -84,6 +86,7 @@ class ReportData:
     sight: str
     prior: str
     target: str
+    shape: ShapePoints
     campaign: CampaignShown | str = ""
 
     @property
@@ -120,10 +123,14 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         )
     names = tuple(dict.fromkeys(("ti", *own["derived"]))) if fit.has_draws else tuple(own["derived"])
     wind_speed = np.asarray(fit.records["wind_speed"].values, dtype=np.float64)
+    shape: ShapePoints | None = None
     if prob in (None, own["prob"]) and not names:  # many records, whose summary is not needed as a whole
         numbers, derived = fit.of_stresses(*NUMBERS), dict[str, dict[str, FloatArray]]()
     else:
-        table = fit.summary(prob=prob, derived=names)
+        more = SHAPE_NAMES if fit.has_draws else ()
+        table = fit.summary(prob=prob, derived=tuple(dict.fromkeys((*names, *more))))
+        shape = shape_points(fit, table) if more else None
+        table = table[table["stress"].isin((*STRESSES, *names))]
         numbers, derived = _numbers(table, fit.n_record), _derived(table)
     if "ti" not in derived and np.isfinite(wind_speed).any():
         speed = np.where(wind_speed > 0.0, wind_speed, np.nan)
@@ -136,7 +143,6 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         run=dict(fit.run),
         records=fit.records,
         prob=own["prob"] if prob is None else prob,
-        interval=str(own.get("interval", EQUAL_TAILED)),
         headline=headline_of(fit),
         record=np.arange(fit.n_record),
         time=fit.time,
@@ -152,6 +158,8 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         sight=str(fit.run["sight"]),
         prior=str(fit.run["prior"]),
         target=str(own["target"]),
+        shape=shape_points(fit) if shape is None else shape,
+        interval=str(own["interval"]),
         campaign=campaign_shown(fit),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 NO_VALUE = "–"
 UNIT = "m² s⁻²"
-STAR = "*: more the prior's than the data's"
+STAR = "*: mostly the prior's"
 """What the star of `interval` means."""
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
+from bayes_rs.pictures import PRIORS
 from bayes_rs.records.layout import TURBINE
 from bayes_rs.report import words
 from bayes_rs.report.report_data import ReportData
@@ -84,7 +85,7 @@ def _caption(found: ReportData, series: Series, reference: str) -> str:
     else:
         caption = key("middle", "posterior median") + key("band", called)
     if series.priors.any():
-        caption += key("hatch", "hatched grey, dashed line: more the prior's than the data's")
+        caption += key("hatch", f"hatched grey, dashed line: {PRIORS}")
     return (
         caption
         + (key("room", "the prior's interval at the size that was found") if np.isfinite(series.room).any() else "")

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
+from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, Picture, new_or_given
 from bayes_rs.spectra.radial_spectrum import average_spectra, check_spectra
 
-_MEASURED, _FITTED, _NOISE = "#1f4e79", "#c26a16", "#6b6b6b"
+_MEASURED, _FITTED, _NOISE = POSTERIOR_COLOUR, OTHER_COLOUR, PRIOR_COLOUR
+_Given = TypeVar("_Given", bound=FigureBase)
 _MOST_COLUMNS = 3
 
 
@@ -25,7 +29,8 @@ def spectra(
     bins_per_decade: int = 10,
     prob: float = 0.9,
     max_beams: int = 6,
-) -> Figure:
+    figure: _Given | None = None,
+) -> _Given | Picture:
     """Draw the spectra of the radial velocities, averaged over records, one panel for each beam.
 
     Parameters
@@ -40,14 +45,17 @@ def spectra(
         Probability of the confidence band.
     max_beams : int
         Number of panels; of more beams, so many are drawn, evenly chosen.
+    figure : Figure or SubFigure, optional
+        Where to draw.
 
     Returns
     -------
-    figure : matplotlib.figure.Figure
-        Frequency times spectral density, m² s⁻², against frequency, on logarithmic axes: equal heights are equal shares
-        of the variance for equal factors in frequency. The fitted curve is averaged over the same records and bins, and
-        is what their finite, sampled, noisy records should show; the broken line is the noise in it, where it is above
-        zero. In the title of a panel: the beam, and what the fit found, median and 90 % range over the records.
+    figure : Figure or SubFigure
+        What was given, or a new figure. Frequency times spectral density, m² s⁻², against frequency, on logarithmic
+        axes: equal heights are equal shares of the variance for equal factors in frequency. The fitted curve is
+        averaged over the same records and bins, and is what their finite, sampled, noisy records should show; the
+        broken line is the noise in it, where it is above zero. In the title of a panel: the beam, and what the fit
+        found, median and 90 % range over the records.
 
     Raises
     ------
@@ -79,8 +87,8 @@ def spectra(
     modelled = None if fit is None else _binned(spectra, fit["expected"].values, bins_per_decade)
     n_column = 2 if len(shown) == 4 else min(_MOST_COLUMNS, len(shown))
     n_row = int(np.ceil(len(shown) / n_column))
-    figure = Figure(figsize=(max(4.2 * n_column, 5.6), 3.3 * n_row + 0.9), layout="constrained")
-    panels = figure.subplots(n_row, n_column, sharex=True, sharey=True, squeeze=False)
+    target = new_or_given(figure, (max(4.2 * n_column, 5.6), 3.3 * n_row + 0.9))
+    panels = target.subplots(n_row, n_column, sharex=True, sharey=True, squeeze=False)
     for panel, b in zip(panels.ravel(), shown.tolist(), strict=False):
         _draw(panel, averages, b)
         words = f"beam {averages['beam'].values[b]}"
@@ -105,10 +113,10 @@ def spectra(
         panel.set_visible(False)
     for column in range(n_column):
         lowest = panels[(len(shown) - 1 - column) // n_column, column]
-        lowest.set_xlabel("frequency, Hz")
+        lowest.set_xlabel("frequency [Hz]")
         lowest.tick_params(labelbottom=True)
     for panel in panels[:, 0]:
-        panel.set_ylabel("f S(f), m² s⁻²")
+        panel.set_ylabel("f S(f) [m² s⁻²]")
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_MEASURED, marker="o", markersize=3.5, linewidth=1.2, label="measured"),
         Patch(color=_MEASURED, alpha=0.2, linewidth=0, label=f"{100.0 * prob:g} % confidence"),
@@ -118,13 +126,13 @@ def spectra(
             Line2D([], [], color=_FITTED, linewidth=1.8, label="Mann spectrum, as these records show it"),
             Line2D([], [], color=_NOISE, linewidth=1.2, linestyle="--", label="instrument noise in it"),
         ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    target.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     count = int(averages["n_record"].values.max())
     head = f"{spectra.attrs.get('scan', '')}: {count} record{'s' * (count > 1)} of {spectra.attrs['duration']:g} s"
     if fit is not None and "beam" not in fit["length_scale"].dims:
         head += f"; {_found(fit['length_scale'].values)}"
-    figure.suptitle(head, fontsize=11, parse_math=False)
-    return figure
+    target.suptitle(head, fontsize=11, parse_math=False)
+    return target  # type: ignore[return-value] # what was given, or new
 
 
 def _draw(panel: Axes, averages: xr.Dataset, b: int) -> None:

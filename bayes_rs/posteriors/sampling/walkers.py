@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.posteriors.diagnostics import quantile_of_ordered
+from bayes_rs.intervals import quantile_of_ordered
 from bayes_rs.posteriors.sampling.chains import N_ENSEMBLE
 
 N_KEPT = 4

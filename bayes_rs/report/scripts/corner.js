@@ -134,7 +134,7 @@ const cornerWords = () => {
   } else {
     holder.append(key("band", "68 %"), key("outer", "95 % of a Gaussian with the posterior's mean and covariance: the draws are not in this page, and the posterior itself is realizable and skewed"));
   }
-  holder.append(key("hatch", "hatched grey (names with *): more the prior's than the data's"));
+  holder.append(key("hatch", "hatched grey (names with *): mostly the prior's"));
   if (prior) holder.append(key("prior", "prior at the posterior's size: where the posterior fills it, the data said nothing of the shape"));
   holder.append(key("outer", `in the panels on the diagonal, the ${percent} interval, ${data.interval}; dotted, the median`));
 };
@@ -144,7 +144,7 @@ const chosenTable = () => {
   const numbers = numbersOf(chosen);
   const priors = (row) => isPriors(chosen, row) && Number.isFinite(numbers.median[row]);
   const tables = [tableOf(
-    `Posterior of ${nameOf(chosen)}, ${unit}, with the ${percent} interval, ${data.interval}; *: more the prior's than the data's`,
+    `Posterior of ${nameOf(chosen)}, ${unit}, with the ${percent} interval, ${data.interval}; *: mostly the prior's`,
     ["stress", "median", `${percent} from`, "to", "decided by", "mean", "sd", ...data.stresses.slice(1).map((name) => `corr. ${name}`)],
     data.stresses.map((name, row) => [
       `${name}${priors(row) ? "*" : ""}`,

@@ -23,7 +23,7 @@ const showProfile = (place, { told = false } = {}) => {
   const box = document.getElementById("profile-table");
   const all = profileOf(shownProfile);
   box.replaceChildren(tableOf(
-    `${profileName(shownProfile)}: turbulence intensity and stresses, ${unit}, each with its ${percent} interval, ${data.interval}; *: more the prior's than the data's`,
+    `${profileName(shownProfile)}: turbulence intensity and stresses, ${unit}, each with its ${percent} interval, ${data.interval}; *: mostly the prior's`,
     [data.profile.upright ? "height, m" : "range, m", ...names.map((name) => (name === "ti" ? "TI" : name))],
     data.profile.place.map((at, r) => [written(at), ...all.map(({ estimate, low, high, priors }) => withInterval(estimate[r], low[r], high[r], priors[r]))]),
   ));

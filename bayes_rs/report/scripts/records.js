@@ -31,7 +31,7 @@ const numbersOf = (place) => {
   const [median, low, high, mean, sd] = [0, 6, 12, 18, 24].map((offset) => unpacked(records.numbers, place, 6, offset));
   return { median, low, high, mean, sd };
 };
-/** Whether a stress of a record is more the prior's than the data's. */
+/** Whether a stress of a record is mostly the prior's. */
 const isPriors = (place, column) => ((records.priors[place] >> column) & 1) === 1;
 const correlationAt = (place, i, j) => {
   const pair = pairs.findIndex(([one, other]) => one === Math.min(i, j) && other === Math.max(i, j));

@@ -69,7 +69,7 @@ const priorsWords = (priors, median) => {
   const known = median.filter((value) => value !== null).length;
   const some = priors.filter((one, k) => one && median[k] !== null).length;
   if (!some) return "";
-  return some === known ? "more the prior's" : `more the prior's in ${Math.max(1, Math.round(100 * some / known))} %`;
+  return some === known ? "mostly the prior's" : `mostly the prior's in ${Math.max(1, Math.round(100 * some / known))} %`;
 };
 const stresses = (holder, full) => {
   const width = panelWidth(holder, full);
@@ -90,7 +90,7 @@ const stresses = (holder, full) => {
     const said = priorsWords(priors.filter((_, k) => there[k]), median.filter((_, k) => there[k]));
     const svg = picture(width, height + (beyond ? 14 : 0), `${titleOf(name)} over time, ${unitOf(name)}`, middle.length
       ? `Posterior median from ${written(middle[0])} to ${written(middle[middle.length - 1])}, half of the points below ` +
-        `${written(quantile(middle, 0.5))}; ${percent} intervals (${data.interval}) from ${written(sorted[0])} to ${written(sorted[sorted.length - 1])}${said ? `; ${said} than the data's` : ""}.`
+        `${written(quantile(middle, 0.5))}; ${percent} intervals (${data.interval}) from ${written(sorted[0])} to ${written(sorted[sorted.length - 1])}${said ? `; ${said}` : ""}.`
       : "No record was fitted here.");
     svg.dataset.panel = name;
     const box = { left: 46, right: width - 18, top: 24, bottom: height - 24 };

@@ -9,10 +9,10 @@ const invariants = (stress) => {
   return [Math.cbrt(third / 6), Math.sqrt(second / 6)];
 };
 const shape = (holder, width) => {
-  const { record, xi, eta } = data.shape;
+  const { record, xi, eta, priors, words: what } = data.shape;
   const height = 0.72 * width;
   const svg = picture(width, height, "Shape of the tensor: Lumley triangle",
-    `Posterior means of ${xi.length} records; ξ from ${written(Math.min(...xi))} to ${written(Math.max(...xi))}, η from ${written(Math.min(...eta))} to ${written(Math.max(...eta))}.`);
+    `${xi.length} records, ${what}; ξ from ${written(Math.min(...xi))} to ${written(Math.max(...xi))}, η from ${written(Math.min(...eta))} to ${written(Math.max(...eta))}.`);
   const box = { left: 46, right: width - 10, top: 24, bottom: height - 44 };
   const { x, y, inside } = axes(svg, box, [-0.2, 0.36], [0, 0.36], { xTicks: ticks(-0.2, 0.36, 6), yTicks: ticks(0, 0.36, 5), xName: "ξ", yName: "η" });
   let edge = `M${x(-1 / 6)} ${y(1 / 6)}L${x(0)} ${y(0)}L${x(1 / 3)} ${y(1 / 3)}`;
@@ -31,10 +31,15 @@ const shape = (holder, width) => {
       const [a, b] = invariants(posterior.map((column) => column[k]));
       return [x(a), y(b)];
     })) : "M0 0");
-    const [a, b] = invariants(numbersOf(chosen).mean);
+    const k = record.indexOf(records.number[chosen]); // every so many of very many records have a point
+    const [a, b] = k >= 0 ? [xi[k], eta[k]] : posterior || !Number.isFinite(numbersOf(chosen).mean[0]) ? [NaN, NaN] : invariants(numbersOf(chosen).mean);
     mark.setAttribute("d", Number.isFinite(a) ? circles([[x(a), y(b)]], 7) : "M0 0");
   };
   mark.place();
-  inside.append(cloud, path(`${edge}Z`, "edge"), path(dots(record.map((_, k) => [x(xi[k]), y(eta[k])])), xi.length > 400 ? "dot draws" : "dot"), mark);
+  inside.append(cloud, path(`${edge}Z`, "edge"), ...[0, 1].map((kind) => {
+    const some = record.map((_, k) => [x(xi[k]), y(eta[k])]).filter((_, k) => priors[k] === kind);
+    if (!some.length) return "";
+    return kind ? path(circles(some, xi.length > 400 ? 1.5 : 2.5), "dot priors") : path(dots(some), xi.length > 400 ? "dot draws" : "dot");
+  }).filter(Boolean), mark);
   holder.append(svg);
 };
