@@ -118,9 +118,8 @@ def headline_of_ranges(
     if len(names) == len(fits) == 1:
         (only,) = fits.values()
         alone = headline_of(only)
-        return replace(
-            alone, found=f"{alone.found} at {names[0]}", doubtful=doubts, numbers={**alone.numbers, **numbers}
-        )
+        numbers = {**alone.numbers, **numbers}
+        return replace(alone, found=f"{alone.found} at {names[0]}", doubtful=doubts, numbers=numbers)
     if profile.empty:
         return Headline(counted, _NO_POSTERIOR, doubts, numbers)
     prob = float(profile["prob"].iloc[0])
@@ -173,9 +172,8 @@ def _of_campaign(fit: FitData, shares: FloatArray) -> str:
         return ""
     table = fit.source.read(TABLE)
     means = table[table["bin"] == ALL].set_index("quantity")["decided"]
-    more = [
-        name for name, alone in zip(STRESSES, shares, strict=True) if is_priors(alone) and not is_priors(means[name])
-    ]
+    priors = is_priors(shares)
+    more = [name for name, prior in zip(STRESSES, priors, strict=True) if prior and not is_priors(means[name])]
     return f" in a record; all records together also tell the mean of {_listed(more)}" if more else ""
 
 
@@ -225,9 +223,8 @@ def _intensity_words(found: Mapping[str, Any], prob: float, n_fitted: int) -> st
     said = f"TI {_number(found['median'])} ({_pair(found)}, {100.0 * prob:g} % interval)"
     if n_fitted == 1:
         return said
-    said += (
-        f" in the median record, {_number(found['records_from'])} to {_number(found['records_to'])} over the records"
-    )
+    spread = f"{_number(found['records_from'])} to {_number(found['records_to'])} over the records"
+    said += f" in the median record, {spread}"
     if "campaign" not in found:
         return said
     return f"{said}; mean of the campaign {_number(found['campaign']['mean'])} ({_pair(found['campaign'])})"
