@@ -1,8 +1,8 @@
 // Points along time at the zoom of the moment: records, or bins of whole hours.
 
 const MOST_RECORDS = 1200;
-const MOST_BINS = 750;
-const HOURS = [1, 2, 3, 6, 12, 24, 48, 168, 672];
+const MOST_IN_HOURS = 5000; // records that are put into bins of an hour: more take too long to follow a finger
+const HOUR = 36e5;
 const panels = [...(data.series.ti ? ["ti"] : []), ...data.stresses];
 const step = data.step;
 
@@ -100,9 +100,7 @@ const pointsShown = () => {
   if (!given.binned || data.thinned) return given;
   const [first, last] = within(span);
   if (last - first <= MOST_RECORDS) return ofRecords(first, last);
-  if (!data.timed) return given;
-  const width = HOURS.map((hours) => hours * 36e5).find((one) => (span[1] - span[0]) / one <= MOST_BINS);
-  if (width === undefined || width >= given.width) return given;
+  if (!data.timed || HOUR >= given.width || last - first > MOST_IN_HOURS) return given;
   // whole bins: a bin that the span cuts is that of all its records
-  return inBins(ofRecords(...within([Math.floor(span[0] / width) * width, Math.ceil(span[1] / width) * width])), width);
+  return inBins(ofRecords(...within([Math.floor(span[0] / HOUR) * HOUR, Math.ceil(span[1] / HOUR) * HOUR])), HOUR);
 };

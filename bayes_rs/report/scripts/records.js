@@ -16,8 +16,9 @@ const records = {
   reference: packed.reference ? new Float32Array(bytes(packed.reference)) : null,
 };
 const n = records.number.length;
-const pairs = [];
-for (let i = 0; i < 6; i += 1) for (let j = i + 1; j < 6; j += 1) pairs.push([i, j]);
+const N_PAIR = 15;
+const pairAt = new Int8Array(36); // of two stresses, the place of their correlation
+for (let i = 0, pair = 0; i < 6; i += 1) for (let j = i + 1; j < 6; j += 1, pair += 1) pairAt[6 * i + j] = pairAt[6 * j + i] = pair;
 const unpacked = (rows, row, count, offset = 0) => {
   const out = new Array(count);
   const size = rows.values.length / rows.unit.length;
@@ -34,8 +35,7 @@ const numbersOf = (place) => {
 /** Whether a stress of a record is mostly the prior's. */
 const isPriors = (place, column) => ((records.priors[place] >> column) & 1) === 1;
 const correlationAt = (place, i, j) => {
-  const pair = pairs.findIndex(([one, other]) => one === Math.min(i, j) && other === Math.max(i, j));
-  const value = records.correlation[place * pairs.length + pair];
+  const value = records.correlation[place * N_PAIR + pairAt[6 * i + j]];
   return value === -128 ? NaN : value / 100;
 };
 /** The prior's intervals at the size uu + vv + ww of a record: low and high of each stress. */
