@@ -19,8 +19,11 @@ from bayes_rs import STRESSES, InputError, fit, open_fit, write_report
 from bayes_rs.cli.report_command import report
 from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
+from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
 from bayes_rs.report import figures, template
 from bayes_rs.report.availability import make_availability
+from bayes_rs.report.beside import beside_data, beside_section, match_fits
 from bayes_rs.report.packing import MISSING, pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.report_data import NUMBERS, report_data
 from bayes_rs.report.series import MOST_BINS, make_series
@@ -499,6 +502,89 @@ class TestWriting:
         words = rf"File '.*{file.name}' was changed since it was written: resume the fit to make it again"
         with pytest.raises(InputError, match=words):
             write_report(tmp_path / "out")
+
+
+class TestBeside:
+    def shifted(self, found, factor):
+        """The same records with all numbers multiplied, in the reverse order, one of them lost."""
+        rows = np.arange(len(found.record))[::-1][1:]
+        numbers = {name: values[rows] * (factor if name in ("median", "low", "high") else 1.0) for name, values in
+                   found.numbers.items()}  # fmt: skip
+        return dataclasses.replace(
+            found, record=np.arange(len(rows)), time=found.time[rows], flag=found.flag[rows], numbers=numbers
+        )
+
+    def test_records_are_matched_by_their_starts(self, tables):
+        found = report_of(tables)
+        beside = match_fits(found, self.shifted(found, 1.0), ("a", "b"))
+        assert beside.n_start == len(found.record) - 1
+        assert len(beside.rows) == int(found.fitted[:-1].sum())
+        np.testing.assert_array_equal(found.time[beside.rows], beside.other.time[beside.other_rows])
+        one, other = beside.numbers
+        np.testing.assert_array_equal(one["median"], other["median"])
+        assert not beside.apart.any()
+
+    def test_intervals_that_do_not_overlap_are_counted_and_named(self, tables):
+        found = report_of(tables)
+        beside = match_fits(found, self.shifted(found, 50.0), ("a", "<b>"))
+        low, high = (found.numbers[name][beside.rows] for name in ("low", "high"))
+        np.testing.assert_array_equal(beside.apart, (50.0 * low > high) | (50.0 * high < low))
+        assert beside.apart[:, 0].any()
+        text = beside_section(beside)
+        start = np.datetime_as_string(found.time[beside.rows[0]], unit="m").replace("T", " ")
+        assert f"{start} (" in text
+        assert "<b>" not in text
+        data = beside_data(beside, np.arange(len(found.record)))
+        apart = np.frombuffer(base64.b64decode(data["apart"]), dtype="<u1")
+        np.testing.assert_array_equal((apart[:, None] >> np.arange(6)) & 1, beside.apart)
+
+    def test_fits_that_share_nothing_are_refused(self, tables):
+        found = report_of(tables)
+        later = dataclasses.replace(found, time=found.time + np.timedelta64(3650, "D"))
+        with pytest.raises(InputError, match="0 are in both fits, and none of them was fitted in both"):
+            match_fits(found, later, ("a", "b"))
+        with pytest.raises(InputError, match=r"The intervals of the two fits differ: 90 % interval, .*50 %"):
+            match_fits(found, dataclasses.replace(found, prob=0.5), ("a", "b"))
+
+
+class TestPriorsPart:
+    def test_the_bits_of_a_record_are_those_of_the_rule(self, full, full_page):
+        found, data = report_of(full), data_of(full_page)
+        bits = np.frombuffer(base64.b64decode(data["records"]["priors"]), dtype="<u1")
+        expected = is_priors(found.numbers["decided"])
+        np.testing.assert_array_equal((bits[:, None] >> np.arange(6)) & 1, expected)
+        assert {True, False} <= set(expected[found.fitted].ravel().tolist())
+        np.testing.assert_array_equal(np.array(data["series"]["priors"]).T, expected)
+
+    def test_a_bin_is_the_priors_if_most_of_its_fitted_records_are(self, year):
+        found = report_of(year)
+        series = make_series(found)
+        whole = np.arange(36 * 7, 36 * 8)
+        rows = whole[found.fitted[whole]]
+        share = is_priors(found.numbers["decided"][rows]).mean(axis=0)
+        np.testing.assert_array_equal(series.priors[7], share > 0.5)
+
+    def test_the_page_interpolates_the_priors_interval_at_a_size(self, full, full_page):
+        """The script's nodes against the interval at each record's own size; 3 % is the Monte-Carlo error of an end."""
+        found, nodes = report_of(full), data_of(full_page)["room"]
+        rows = np.flatnonzero(found.fitted)
+        mean, sd = sizes_of(found.numbers["mean"][rows], found.covariance(rows))
+        ends = prior_interval_at_size(found.prior_shape, mean, sd, found.prob, found.interval)
+        for name, end in zip(("low", "high"), ends, strict=True):
+            for c in range(len(STRESSES)):
+                at = mean * np.interp(sd / mean, nodes["spread"], nodes[name][c])
+                width = ends[1][:, c] - ends[0][:, c]
+                assert np.all(np.abs(at - end[:, c]) <= 0.03 * width)
+
+    def test_stars_mark_what_is_the_priors(self, full_page):
+        table = full_page.split("Posterior medians, each with its 90 % interval, equal-tailed")[2]
+        row = table.split("<tbody>")[1].split("</tr>")[0]
+        cells = re.findall(r'<td class="n">(.*?)</td>', row)
+        assert ["*" in cell for cell in cells] == [False, False, True, True, True, False, True, False]
+
+    def test_flags_that_do_not_occur_are_not_listed(self, full_page):
+        assert "beam_left_out" in full_page.split('id="diagnostics"')[1].split("</table>")[0]
+        assert "weights_uneven" not in full_page.split('id="diagnostics"')[1].split("</table>")[0]
 
 
 class TestPieces:

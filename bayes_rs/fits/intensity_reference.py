@@ -99,8 +99,8 @@ def _times(column: pd.Series[Any], where: str) -> NDArray[np.datetime64]:
 
 def _numbers(column: pd.Series[Any], name: str, where: str) -> FloatArray:
     found = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-    text = column.astype("string").str.strip()
-    bad = np.flatnonzero(~np.isfinite(found) & ~text.str.lower().isin(["", "nan", "na", "null"]).fillna(value=True))
+    empty = column.isna() | column.astype("string").str.strip().str.lower().isin(["", "nan", "na", "null"])
+    bad = np.flatnonzero(~np.isfinite(found) & ~empty.to_numpy(dtype=np.bool_))
     if len(bad):
         raise InputError(
             f"Row {bad[0]} of the reference {where} has {name} {str(column.iloc[bad[0]])!r}, which is no number: leave "
