@@ -208,11 +208,17 @@ class TestNumbers:
         assert data["count"] == [15]
         assert data["points"]["median"][0] == pytest.approx(found.derived["ti"]["median"][0], rel=1e-3)
 
-    def test_the_shape_coordinates_are_those_of_the_means(self, full, full_page):
-        found, data = report_of(full), data_of(full_page)
-        xi, eta = lumley_coordinates(found.numbers["mean"][found.fitted])
-        np.testing.assert_allclose(data["shape"]["xi"], xi, rtol=1e-3)
-        np.testing.assert_allclose(data["shape"]["eta"], eta, rtol=1e-3)
+    def test_the_points_of_the_shape_are_those_of_the_summary(self, full, full_page, tables):
+        data = data_of(full_page)
+        table = open_fit(full).summary(derived=("lumley_xi", "lumley_eta")).dropna(subset="median")
+        for name in ("xi", "eta"):
+            expected = table.loc[table["stress"] == f"lumley_{name}", "median"]
+            np.testing.assert_allclose(data["shape"][name], expected, rtol=1e-3)
+        found = report_of(tables)  # no draws: of the posterior means
+        shown = figures.shape_data(found)
+        np.testing.assert_allclose(
+            [shown["xi"], shown["eta"]], lumley_coordinates(found.numbers["mean"][found.fitted]), rtol=1e-3
+        )
         assert data["shape"]["record"] == [0, 1, 3, 4, 5]
 
 
