@@ -82,7 +82,7 @@ def numbers(sampler: str, posterior: Posterior, keys: np.ndarray, seed: int, tar
     """Return what a summary states, each (n_record, 6)."""
     chains, _ = sample(sampler, posterior, keys=keys, effort=Effort(seed, target_ess, 5))
     known = {name: getattr(chains, name) for name in ("ess_bulk", "ess_tail", "r_hat")}
-    return summarize_draws(chains.stress, (), np.full(len(keys), np.nan), 0.9, known)
+    return summarize_draws(chains.stress, (), np.full(len(keys), np.nan), 0.9, "equal-tailed", known)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from test_plots import TRUTH, fitted
@@ -203,8 +204,9 @@ def drawn(found):
 
 def text_boxes(figure):
     """Return the words and boxes, pixels, of all texts that are shown but for numbers on axes and beside beams."""
-    figure.canvas.draw()
-    renderer = figure.canvas.get_renderer()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
     texts = figure.findobj(mpl.text.Text)
     shown = [text for text in texts if text.get_visible() and text.get_text().strip()]
     hidden = {id(text) for axis in figure.axes if not axis.get_visible() for text in axis.findobj(mpl.text.Text)}
@@ -255,6 +257,10 @@ class TestShown:
         assert isinstance(figure, Picture)
         assert figure._repr_png_().startswith(b"\x89PNG")
         assert plt.get_fignums() == []
+        from IPython.core.formatters import DisplayFormatter  # noqa: PLC0415 - slow to load
+
+        shown, _ = DisplayFormatter().format(figure)  # what a notebook shows, with no magic and no pyplot
+        assert sorted(shown) == ["image/png", "text/plain"]
 
 
 def luminance(colour):

@@ -19,6 +19,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.range_job import seed_of_range
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.ranged_scan import RangedScan
+from bayes_rs.pictures import PRIORS
 from bayes_rs.records import at_range
 from bayes_rs.report.writing import write_report
 from bayes_rs.result_folder import seal_folder
@@ -239,11 +240,22 @@ class TestPictures:
         assert isinstance(figure, Figure)
         assert len(figure.axes) == 7
         assert figure.axes[-1].get_xlabel() == "range [m]"
-        assert brs.plot.profile(found, record=0).axes[0].get_ylabel() == "TI, σ_u/U"
+        assert brs.plot.profile(found, record=0).axes[0].get_ylabel() == "TI, σ_u/U [1]"
         with pytest.raises(InputError, match="is of one range, and has no profile"):
             brs.plot.profile(found.at(52.0))
         with pytest.raises(InputError, match="at 2 ranges"):
             brs.plot.stresses(found)
+
+    @pytest.mark.parametrize("share", [0.49, 0.51])
+    def test_what_is_the_priors_is_hollow(self, found, monkeypatch, share):
+        own = RangedFit.profile
+        monkeypatch.setattr(RangedFit, "profile", lambda self, record=None: own(self, record).assign(decided=share))
+        figure = brs.plot.profile(found)
+        marks = [bars.lines[0] for bars in figure.axes[3].containers if len(bars.lines[0].get_xdata())]
+        assert {line.get_markerfacecolor() == "white" for line in marks} == {share < 0.5}
+        words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
+        assert (PRIORS in words) == (share < 0.5)
+        assert "90 % interval, equal-tailed" in words
 
     def test_the_page_leads_to_those_of_the_ranges(self, folder, tmp_path):
         place = tmp_path / "out"

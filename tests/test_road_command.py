@@ -263,7 +263,7 @@ class TestRun:
 
     GROUPS = (
         ("fit", ("seed", "prior", "target", "sampler", "target_ess", "prob", "derived", "draws", "instrument_noise")),
-        ("fit", ("max_extension",)),
+        ("fit", ("max_extension", "interval")),
         ("nuisances", ("yaw_sd_deg", "tilt_sd_deg", "inflation", "inflation_dof")),
         ("nuisances", ("vertical_gradient_sd", "instrument_noise_log_sd")),
         ("records", ("duration", "min_availability")),

@@ -41,6 +41,8 @@ NOISE_FILES = {"6-beam-45": "6-beam-45deg-52m.nc", "6-beam": "6-beam.nc", "50-be
 
 _RECORD = 2
 """The record that is drawn."""
+_SHOWN = ("uu", "vv", "ww", "uw")
+"""Stresses of the picture of two lidars: of six the words would be too small beside each other."""
 
 
 def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> Iterator[str]:
@@ -76,7 +78,7 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
             fits[name] = fit(records, scan, seed=seed, noise=noise, output=folder / name)
             draw_pictures(fits[name], folder / name)
             yield f"{TITLES[name]}: {fits[name].n_fitted} of {fits[name].n_record} records fitted"
-        _side_by_side(fits, stresses).savefig(folder / "corner-side-by-side.png", dpi=110)
+        _side_by_side(fits, stresses).savefig(folder / "corner-side-by-side.png", dpi=130)
         table = width_table(fits)
         table.to_csv(folder / "widths.csv", float_format="%.4f")
         write_run(folder, {"demo": sorted(fits), "seed": seed})
@@ -118,15 +120,14 @@ def _prior_width(found: Fit) -> FloatArray:
 
 
 def _side_by_side(fits: dict[str, Fit], truth: FloatArray) -> Any:
-    from matplotlib.figure import Figure
-
+    from bayes_rs.pictures import Picture
     from bayes_rs.plot.corner_plot import corner, corner_limits
 
     shown = ("6-beam-45", "50-beam")
     results = [fits[name] for name in shown]
     limits = corner_limits(results, [_RECORD] * len(shown))
-    figure = Figure(figsize=(20.0, 10.4))
+    figure = Picture(figsize=(11.0, 5.6), layout="constrained")
     panels = np.atleast_1d(np.asarray(figure.subfigures(1, len(shown))))
     for panel, name, result in zip(panels, shown, results, strict=True):
-        corner(result, _RECORD, truth=truth, limits=limits, title=TITLES[name], figure=panel)
+        corner(result, _RECORD, stresses=_SHOWN, truth=truth, limits=limits, title=TITLES[name], figure=panel)
     return figure

@@ -158,6 +158,7 @@ def sensitivity(
     from contextlib import nullcontext
 
     from bayes_rs.fits.prior_check import prior_sensitivity, sensitivity_lines
+    from bayes_rs.intervals import interval_words
     from bayes_rs.output import output_file, write_csv
 
     def say(line: str) -> None:
@@ -179,8 +180,8 @@ def sensitivity(
         if part is not None:
             write_csv(table, part, index=False)
     click.echo(
-        f"Widths of {100.0 * own.prob:g} % intervals, m² s⁻², medians over the fitted of {made.sizes['record']} "
-        "records. With the prior's width times a factor:"
+        f"Widths of intervals ({interval_words(own.prob, own.interval)}), m² s⁻², medians over the fitted of "
+        f"{made.sizes['record']} records. With the prior's width times a factor:"
     )
     click.echo("the posterior's width over its own under the prior itself; near 1, the data decide.")
     for line in sensitivity_lines(table):

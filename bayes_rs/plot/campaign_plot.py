@@ -88,10 +88,8 @@ def _bars(
     """Draw means with their intervals, those that are mostly the prior's hollow, grey and broken."""
     middle, low, high = (rows[name].to_numpy(dtype=np.float64) for name in ("mean", "low", "high"))
     ends = np.maximum([middle - low, high - middle], 0.0)
-    for mask, style in (
-        (~of_prior, {"color": colour}),
-        (of_prior, {"color": PRIOR_COLOUR, "markerfacecolor": "white"}),
-    ):
+    own: dict[str, Any] = {"color": colour}
+    for mask, style in ((~of_prior, own), (of_prior, PRIOR_MARK)):
         drawn = axis.errorbar(
             place[mask], middle[mask], yerr=ends[:, mask], fmt=marker, markersize=5, capsize=3, zorder=3, **style
         )

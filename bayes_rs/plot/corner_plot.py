@@ -135,7 +135,7 @@ def corner(
                     panel.plot(marks[j], marks[i], "s", color=TRUTH_COLOUR, markersize=4)
             _finish_panel(panel, STRESSES[j], STRESSES[i], last=row == len(shown) - 1, first=column == 0 < row)
     handles = _handles(is_priors(decided[shown]), interval_words(prob, kind), has_truth=marks is not None)
-    legend = target.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.94), frameon=False, fontsize=9)
+    legend = target.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.995, 0.95), frameon=False, fontsize=8)
     legend.set_in_layout(False)  # it stands where there is no panel
     if title is None:
         start = fit.time[index]
