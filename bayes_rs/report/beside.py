@@ -149,7 +149,7 @@ def beside_section(beside: Beside) -> str:
     caption = (
         key("band", f"{one}: {called}")
         + key("band other", f"{other}: {called}")
-        + key("hatch", f"hatched: {PRIORS}")
+        + key("hatch", f"hatched, the second with a coloured edge: {PRIORS}")
         + key("apart", "the intervals do not overlap")
         + "Of more than 600 records, medians over neighbours."
     )
