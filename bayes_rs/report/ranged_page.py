@@ -70,7 +70,7 @@ def render_ranges(found: RangedFit, links: Mapping[int, str], *, title: str | No
     fitted = f"{found.n_fitted} of {found.n_record} records at {len(found.fits)} of {len(found.ranges)} ranges"
     said = headline(headline_of_ranges(found.run, found.fits, names, rows))
     numbers = pairs([("fitted", fitted), ("scan", scan), ("prior", str(first.run["prior_name"]))], "key-numbers")
-    lead = f'<p class="lead">{escape(_LEAD)} {escape(str(first.run["sight"]))}</p>'
+    lead = f'<p class="lead">{escape(_LEAD)} The scan {escape(str(first.run["sight"]))}.</p>'
     data = {
         "prob": float(rows["prob"].iloc[0]),
         "interval": str(rows["interval"].iloc[0]),
