@@ -16,6 +16,8 @@ from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.options import described, option, options_of
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
+STANDARD_INPUT = "-"
+"""What stands for the standard input among the names of files."""
 ALL_RANGES = "all"
 """What the option range is for all ranges that the files have."""
 DIRECTION_NAMES = ("azimuth", "elevation", "phase", "sx", "sy", "distance", "height", "gate")

@@ -186,10 +186,11 @@ def write_csv(table: pd.DataFrame, file: Path, **options: Any) -> None:
         Those of `DataFrame.to_csv`.
     """
     texts = [name for name in table.columns if table[name].dtype.kind not in "biufcmM"]
-    table.assign(**{name: table[name].map(_plain_cell) for name in texts}).to_csv(file, **options)
+    table.assign(**{name: table[name].map(plain_cell) for name in texts}).to_csv(file, **options)
 
 
-def _plain_cell(value: Any) -> Any:
+def plain_cell(value: Any) -> Any:
+    """Return a text that no spreadsheet takes for a formula; other values as they are."""
     if not isinstance(value, str):
         return value
     text = value.replace("\r", " ")  # which the csv module does not quote: the row would end there

@@ -2,14 +2,114 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
 from typing import Any, TypeVar
 
 from tqdm import tqdm
 
 _Item = TypeVar("_Item")
+_counting: ContextVar[Counter | None] = ContextVar("counting", default=None)
+hushed: ContextVar[bool] = ContextVar("hushed", default=False)
+"""Whether no bar is shown where nobody says that one is."""
+_tally: str | None = None
+"""In a worker process: the file that it notes in what is done."""
+_WORKER_LOOKS = 0.3
+"""Seconds after which what workers noted is looked at again."""
+
+
+class Counter:
+    """A bar that counts what is done, also what is noted before the part that it is of is finished.
+
+    Parameters
+    ----------
+    bar : tqdm
+        What is shown.
+    initial : int
+        How many were done before.
+    """
+
+    def __init__(self, bar: Any, initial: int = 0) -> None:
+        self._bar, self._initial = bar, initial
+        self._finished = self._noted = 0
+        self.shown = not bar.disable
+
+    def update(self, n: int) -> None:
+        """Say that n more are finished."""
+        self._finished += n
+        self._show()
+
+    def note(self, n: int) -> None:
+        """Say that n more of a part that is not finished are done."""
+        self._noted += n
+        self._show()
+
+    def _show(self) -> None:
+        # what is noted is finished later; a part that is done again, because its worker died, is noted twice
+        count = max(self._finished, self._noted)
+        self._bar.update(max(min(self._initial + count, self._bar.total) - self._bar.n, 0))
+
+
+def note_done(n: int) -> None:
+    """Note that n of the things are done that the innermost `progress_counter` counts, also from a worker process."""
+    counter = _counting.get()
+    if counter is not None:
+        counter.note(n)
+    elif _tally is not None:
+        descriptor = os.open(_tally, os.O_WRONLY | os.O_APPEND)
+        try:
+            os.write(descriptor, b"." * n)
+        finally:
+            os.close(descriptor)
+
+
+def tally_in(file: str | None) -> None:
+    """Let this worker process note in a file what is done; None: nobody looks."""
+    global _tally  # noqa: PLW0603 - a process of a pool has nothing else to keep it in
+    _tally = file
+
+
+class Tally:
+    """What worker processes note, seen by the process that counts.
+
+    Attributes
+    ----------
+    file : str or None
+        What the workers take as `tally_in`; None where nobody looks.
+    seconds : float or None
+        How long to wait before the next look; None where nobody looks.
+    """
+
+    def __init__(self, file: Path | None, counter: Counter | None) -> None:
+        self.file = None if file is None else str(file)
+        self.seconds = None if file is None else _WORKER_LOOKS
+        self._counter, self._seen = counter, 0
+
+    def look(self) -> None:
+        """Show what was noted since the last look."""
+        if self.file is None or self._counter is None:
+            return
+        size = Path(self.file).stat().st_size
+        self._counter.note(size - self._seen)
+        self._seen = size
+
+
+@contextmanager
+def worker_tally() -> Iterator[Tally]:
+    """Give what shows the progress within the parts that worker processes do, if a bar is shown."""
+    counter = _counting.get()
+    if counter is None or not counter.shown:
+        yield Tally(None, None)
+        return
+    with tempfile.TemporaryDirectory(prefix="bayes-rs-", ignore_cleanup_errors=True) as folder:
+        file = Path(folder) / "done"
+        file.touch()
+        yield Tally(file, counter)
 
 
 def progress(
@@ -45,7 +145,7 @@ def progress(
 @contextmanager
 def progress_counter(
     total: int, description: str, unit: str, *, initial: int = 0, scale: bool = False, disable: bool | None = None
-) -> Iterator[Any]:
+) -> Iterator[Counter]:
     """Show how many of a number of things are done, how many a second, and the time left, on stderr.
 
     Parameters
@@ -65,8 +165,8 @@ def progress_counter(
 
     Yields
     ------
-    bar
-        Its ``update(n)`` says that n more are done.
+    counter : Counter
+        Its ``update(n)`` says that n more are done; `note_done` says so from within a part of the work.
     """
     silent = _no_terminal() if disable is None else disable
     with tqdm(
@@ -79,9 +179,14 @@ def progress_counter(
         file=sys.stderr,
         leave=False,
     ) as bar:
-        yield bar
+        counter = Counter(bar, initial)
+        before = _counting.set(counter)
+        try:
+            yield counter
+        finally:
+            _counting.reset(before)
 
 
 def _no_terminal() -> bool:
     """Say whether nobody looks at stderr, which is None where a program was started without one."""
-    return sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()
+    return hushed.get() or sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty()

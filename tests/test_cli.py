@@ -22,11 +22,14 @@ START = np.datetime64("2020-01-01T12:00", "ns")
 STRESS = np.array([1.0, 0.6, 0.4, 0.0, -0.2, 0.0])
 FILES = {
     *("run.json", "fit-key.json", "fingerprints.jsonl", "records", "records.nc", "noise.nc", "prior.parquet"),
-    *("summary", "posterior", "draws", "predicted", "summary.csv", "posterior.nc", "stresses.png", "corner.png"),
+    *("summary", "posterior", "draws", "predicted", "posterior.nc", "stresses.png", "corner.png"),
+    *("summary.csv", "stresses.csv"),
 }
 KEPT_DRAWS = {"draws", "predicted", "posterior.nc", "corner.png"}
 REPORT = 4
 """Lines of a read report of a file in which nothing is wrong."""
+HEADLINE = 3
+"""Lines of the headline of a fit."""
 
 
 def velocities():
@@ -78,7 +81,7 @@ def fit(bayes_rs, inputs, tmp_path):
     """Fit a file with the usual noise, to tmp_path/out."""
 
     def run(file, *more, scan="6-beam", noise=inputs / "noise.nc", output=tmp_path / "out"):
-        return bayes_rs("fit", file, "--scan", scan, "--noise", noise, "--ess", 200, "-o", output, *more)
+        return bayes_rs("fit", file, "--scan", scan, "--noise", noise, "--ess", 200, "-v", "-o", output, *more)
 
     return run
 
@@ -88,7 +91,7 @@ def finished(inputs, tmp_path_factory):
     """The output folder of a fit of good.csv, and its standard output; by the script itself, in its own process."""
     folder = tmp_path_factory.mktemp("finished") / "out"
     script = Path(sys.executable).parent / "bayes-rs"
-    options = ["--scan", "6-beam", "--noise", inputs / "noise.nc", "--ess", "200", "-o", folder]
+    options = ["--scan", "6-beam", "--noise", inputs / "noise.nc", "--ess", "200", "--verbose", "-o", folder]
     done = subprocess.run(  # noqa: S603 - our own script
         [script, "fit", inputs / "good.csv", *options], check=False, capture_output=True, text=True, timeout=120
     )
@@ -214,7 +217,9 @@ class TestFit:
     def test_the_script_writes_the_folder(self, finished):
         folder, done = finished
         assert done.returncode == 0
-        assert done.stdout.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
+        found, *_, last = done.stdout.splitlines()
+        assert found.endswith("; 2 of 2 records fitted")
+        assert last == f"results in {folder}"
         told = done.stderr.splitlines()  # no warning, no progress bar where there is no terminal
         kinds = (
             "noise was made for L = ",
@@ -229,7 +234,7 @@ class TestFit:
 
     def test_it_says_what_the_scan_sees_what_the_prior_is_and_how_far_the_data_decided(self, finished):
         folder, done = finished
-        sight, prior, before, after, medians, plain, learnt, decided, *_ = done.stdout.splitlines()
+        sight, prior, before, after, medians, plain, learnt, decided, *_ = done.stdout.splitlines()[HEADLINE:]
         assert sight == "scan 6-beam: sees all six stresses"
         assert prior == f"prior {WeakPrior().in_words()}"
         table = summary_of(folder)
@@ -311,7 +316,7 @@ class TestFit:
         short = table[-480:].assign(time=lambda rows: rows["time"] + np.timedelta64(600, "s"))
         code, out, err = fit(write(pd.concat([table, short]), tmp_path / "bad.csv"))
         assert code == 1
-        assert out.splitlines()[-1].startswith("1 of 3 records fitted; ")
+        assert out.splitlines()[0].endswith("; 1 of 3 records fitted")
         assert err[-2:] == [
             "record 0 (2020-01-01T12:00): no_usable_beam",
             "record 2 (2020-01-01T12:20): no_usable_beam",
@@ -327,7 +332,7 @@ class TestFit:
         table = velocities().assign(radial_velocity=np.nan)
         code, out, err = fit(write(table, tmp_path / "nan.csv"))
         assert code == 1
-        assert out.splitlines()[-1].startswith("0 of 2 records fitted; ")
+        assert out.splitlines()[0].endswith(" 0 of 2 records fitted")
         assert [line for line in err if line.startswith("record ")] == err[-2:]
         assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"corner.png"}
 
@@ -337,7 +342,7 @@ class TestFit:
         table.loc[table["beam"] == 4, "radial_velocity"] = value
         code, out, err = fit(write(table, tmp_path / "one.csv"))
         assert code == 0
-        assert out.splitlines()[-1].startswith("2 of 2 records fitted; ")
+        assert out.splitlines()[0].endswith("; 2 of 2 records fitted")
         assert any(f"flag {word}: 2 of 12 beams of records" in line for line in err)
         words = {tuple(flag.split(";")) for flag in summary_of(tmp_path / "out")["flag"]}
         assert {first for first, *_ in words} == {"beam_left_out"}
@@ -361,14 +366,14 @@ class TestLongFit:
         assert code == 0, err
         folder = tmp_path / "out"
         assert {file.name for file in folder.iterdir()} == FILES - KEPT_DRAWS
-        assert out.splitlines()[-1] == f"2 of 2 records fitted; results in {folder}"
+        assert out.splitlines()[-1] == f"results in {folder}"
         assert any(line.startswith("decided by the data") for line in out.splitlines())
         code, kept, _ = long_fit(output=tmp_path / "kept")
         assert code == 0
         assert (folder / "summary.csv").read_bytes() == (tmp_path / "kept" / "summary.csv").read_bytes()
         assert kept.splitlines()[:-1] == out.splitlines()[:-1]
         for run in (folder, tmp_path / "kept"):
-            assert json.loads((run / "run.json").read_text())["words"] == out.splitlines()[:-1]
+            assert json.loads((run / "run.json").read_text())["words"] == out.splitlines()[HEADLINE:-1]
         records = xr.load_dataset(tmp_path / "kept" / "records.nc")
         xr.testing.assert_identical(xr.load_dataset(folder / "records.nc"), records)
 
@@ -462,14 +467,14 @@ class TestLongFit:
         table["radial_velocity"] = np.nan
         code, out, err = fit(write(table, tmp_path / "none.csv"), "--draws", "none")
         assert code == 1
-        assert out.splitlines()[-1].startswith("0 of 2 records fitted")
+        assert out.splitlines()[0].endswith(" 0 of 2 records fitted")
         assert err[-2] == "record 0 (2020-01-01T12:00): no_usable_beam"
         assert err[-1] == "and 1 more records: see the column flag of the summary"
 
     def test_an_uncertain_length_scale_gets_noise_that_spans_it(self, bayes_rs, monkeypatch, tmp_path):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
         table = velocities()
-        common = ["--scan", "2-beam", "--ess", 100, "--sampler", "direct", "--length-scale-sd", 0.1]
+        common = ["--scan", "2-beam", "--ess", 100, "--sampler", "direct", "--length-scale-sd", 0.1, "-v"]
         file = write(table[table["beam"] < 2], tmp_path / "two.csv")
         code, _, err = bayes_rs("fit", file, *common, "-o", tmp_path / "out")
         assert code == 0, err

@@ -125,7 +125,7 @@ class TestFit:
     @pytest.mark.parametrize("more", [(), ("--draws", "none")])
     def test_flags_are_told(self, file, tmp_path, more):
         """An instrument's noise above the variance leaves almost no stress: not without a word."""
-        options = ("--instrument-noise", 5, "--sampler", "direct", *more)
+        options = ("--instrument-noise", 5, "--sampler", "direct", "-v", *more)
         done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
         assert done.exit_code == 0, done.output
         assert "3 of 3 records fitted" in done.output
@@ -189,7 +189,7 @@ class TestFit:
         assert 0.1 < spread < 0.5
 
     def test_noise_of_the_records_is_what_they_tell(self, file, tmp_path):
-        done = run("fit", file, *ANGLE, "--instrument-noise", "records", "-o", tmp_path / "out")
+        done = run("fit", file, *ANGLE, "--instrument-noise", "records", "-v", "-o", tmp_path / "out")
         assert done.exit_code == 0, done.output
         assert "instrument noise" in done.output
 

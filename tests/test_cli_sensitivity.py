@@ -135,7 +135,10 @@ class TestLeastSeenDirection:
         ("name", "which"),
         [
             ("6-beam", "the beams hardly see "),
-            ("50-beam", "the beams do not see − 0.05 uu + 0.71 vv + 0.71 ww: "),  # diag(1, −cot²φ, −cot²φ), cone of 15°
+            (
+                "50-beam",
+                "the beams do not see vv and ww together (− 0.05 uu + 0.71 vv + 0.71 ww): ",
+            ),  # the null direction of 15°
             ("staring", "the beams do not see (one of 5 such directions) "),
         ],
     )

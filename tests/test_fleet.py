@@ -1,5 +1,6 @@
 """Fleets: the records of many turbines in one fit, long fits in long parts, and what is read of them at a time."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from bayes_rs.cli.data_commands import records as records_command
 from bayes_rs.fits import folder_tables, plan
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.folder_tables import FolderTables
+from bayes_rs.fits.people_table import PeopleRows, write_people_table
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.plot import stresses_plot
 from bayes_rs.records.layout import with_turbine
@@ -281,8 +283,15 @@ class TestPieces:
 
     @pytest.mark.parametrize(
         "made",
-        [lambda fit: fit.words, Fit.covariance, stresses_plot.stresses, report_data],
-        ids=["words", "covariance", "picture", "report"],
+        [
+            lambda fit: fit.words,
+            Fit.headline,
+            Fit.covariance,
+            stresses_plot.stresses,
+            report_data,
+            lambda fit: write_people_table([PeopleRows(fit, fit.records, {})], Path(os.devnull)),
+        ],
+        ids=["words", "headline", "covariance", "picture", "report", "table for people"],
     )
     def test_no_more_records_are_read_at_a_time(self, whole, pieces, made):
         fresh = open_fit(whole.place)

@@ -76,7 +76,7 @@ def test_a_fit_says_what_the_probe_takes_and_the_scans_name_says_that_it_is_off(
     columns = [f"--column={name}={name}" for name in ("time", "beam", "radial_velocity")]
     for name in ("pulsed-4-beam", "pulsed-4-beam@probe=point"):
         out = tmp_path / name
-        arguments = ["fit", str(tmp_path / "x.csv"), "--scan", name, *columns, "--positive=away", "-o", str(out)]
+        arguments = ["fit", str(tmp_path / "x.csv"), "--scan", name, *columns, "--positive=away", "-v", "-o", str(out)]
         done = CliRunner().invoke(commands, arguments)
         assert done.exit_code == 0, done.output
         run = json.loads((out / "run.json").read_text(encoding="utf-8"))

@@ -141,7 +141,25 @@ class TestTogether:
         np.testing.assert_array_equal(found.records["variance"].values, records["variance"].values)
 
     def test_words_have_a_line_for_each_range(self, found):
-        assert [line.split(",")[0] for line in found.words if line.startswith("range")] == ["range 52 m", "range 98 m"]
+        table = found.profile_lines()
+        assert found.words[2:] == table
+        assert [line.split()[:3] for line in table[1:3]] == [["52", "m", "3"], ["98", "m", "3"]]
+        assert max(map(len, table)) <= 80  # it is read on a terminal
+        profile = found.profile()
+        for distance, line in zip(found.ranges, table[1:3], strict=True):
+            rows = profile[profile["range"] == distance].set_index("quantity")
+            cells = line.rsplit(")", 1)[1].replace("*", " ").split()
+            np.testing.assert_allclose(np.array(cells, float), rows.loc[list(brs.STRESSES), "estimate"], atol=0.0051)
+
+    def test_the_headline_is_of_the_profile(self, found):
+        told = found.headline()
+        assert "at range 52 m to " in told.found
+        assert told.found.endswith("; 6 of 6 records fitted at 2 of 2 ranges")
+        assert json.dumps(told.to_plain(), allow_nan=False)
+
+    def test_the_table_for_people_has_a_row_for_each_record_and_range(self, folder):
+        table = pd.read_csv(folder / "stresses.csv")
+        assert table[["range_m", "record"]].to_numpy().tolist() == [[m, k] for m in (52.0, 98.0) for k in range(3)]
 
     def test_noise_of_one_range_is_refused(self, records):
         with pytest.raises(InputError, match="noise is of one range, and R is wanted at 2 ranges"):

@@ -340,7 +340,7 @@ class TestRun:
         one.to_netcdf(tmp_path / "second.nc", engine="h5netcdf")
         code, out, _ = bayes_rs("fit", tmp_path / "one" / "run.json", tmp_path / "second.nc", "-o", tmp_path / "two")
         assert code == 0
-        assert out[-1].startswith("1 of 1 records fitted")
+        assert out[0].endswith("; 1 of 1 records fitted")
         assert brs.open_fit(tmp_path / "two").run["source_files"] == ["second.nc"]
 
     def test_what_the_command_line_says_of_the_scan_counts(self, settings_of_fit, scene, tmp_path):

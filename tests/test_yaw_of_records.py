@@ -127,7 +127,18 @@ def inputs(tmp_path_factory):
 class TestCommand:
     @staticmethod
     def run(inputs, *more):
-        words = ["fit", inputs / "day.csv", "--scan", "2-beam", "--noise", inputs / "noise.nc", "--ess", 100, *more]
+        words = [
+            "fit",
+            inputs / "day.csv",
+            "--scan",
+            "2-beam",
+            "--noise",
+            inputs / "noise.nc",
+            "--ess",
+            100,
+            "-v",
+            *more,
+        ]
         return CliRunner().invoke(commands, [str(word) for word in words])
 
     @pytest.mark.parametrize("draws", ["float64", "none"])

@@ -155,10 +155,10 @@ def _one_line(error: BaseException) -> str:
 
 
 def _say(words: str) -> None:
-    import click
+    from bayes_rs.cli.voice import error
 
     with suppress(OSError, ValueError):  # nobody may be there to read it
-        click.echo(f"bayes-rs: {words}", err=True)
+        error(f"bayes-rs: {words}")
 
 
 def _leave(code: int) -> NoReturn:

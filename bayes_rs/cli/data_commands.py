@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
+from bayes_rs.cli.voice import answer, tell
 
 if TYPE_CHECKING:
     from bayes_rs.noise.noise import Noise
 
+_UNDER = 7
+"""Columns by which the second line of a reason stands under its first."""
 _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_deg")}
 
 
@@ -22,10 +26,11 @@ _MOUNTING = {"scan": ("opening_angle_deg", "focus_distance", "tilt_deg", "yaw_de
 @click.option("--seed", type=Quantity("seed", minimum=0), default=1, show_default=True, help="Same seed, same numbers.")
 def demo(output: str, overwrite: bool, seed: int) -> None:
     """The main job on embedded data: what a six-beam and a single-angle lidar know of the same wind."""
-    from bayes_rs.cli.demo_job import run_demo
+    from bayes_rs.cli.demo_job import demo_widths, run_demo
 
     for line in run_demo(output, seed=seed, overwrite=overwrite):
-        click.echo(line)
+        tell(line, wrap="  " not in line)
+    answer({"folder": output, "unit": "m2 s-2", "width_90": demo_widths(output)})
 
 
 @click.command(cls=GroupedCommand)
@@ -39,23 +44,28 @@ def demo(output: str, overwrite: bool, seed: int) -> None:
     help="Name of the turbine or lidar, which is kept with its records: `fit` takes those of many together.",
 )
 def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str | None, **options: Any) -> None:
-    """Make records, one variance per beam and averaging period, from files of radial velocities."""
+    """Make records, one variance per beam and averaging period, from files of radial velocities.
+
+    A file - is the standard input: a table of text.
+    """
     from bayes_rs.output import output_file, write_netcdf
+    from bayes_rs.readers.standard_input import with_standard_input
     from bayes_rs.records.layout import check_turbine, with_turbine
 
     if turbine is not None:
         check_turbine(turbine)
     settings = settings_of(files, options)
-    with output_file(output, overwrite=overwrite) as part:
-        made, _ = records_and_scan(settings)
+    with output_file(output, overwrite=overwrite) as part, with_standard_input(settings.files.files) as named:
+        made, _ = records_and_scan(settings.changed(files=tuple(named)))
         write_netcdf(made if turbine is None else with_turbine(made, turbine), part)
     ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
-    click.echo(f"{made.sizes['record']} records{ranges} in {output}")
+    tell(f"{made.sizes['record']} records{ranges} in {output}")
+    answer({"file": str(output), "n_record": made.sizes["record"], "n_range": made.sizes.get("range", 1)})
     exit_if_doubtful(made)
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("scan")
+@click.argument("scan", type=ScanName())
 @settings_options(
     "scan",
     "records",
@@ -85,11 +95,12 @@ def plan(scan: str, wind_speed: float, **options: Any) -> None:
         target_ess=settings.fit.target_ess,
     )
     for line in made.lines():
-        click.echo(line)
+        tell(line, indent=_UNDER if line.startswith(" ") else 2)
+    answer({"title": made.title, "steps": [vars(step) for step in made.steps]})
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("scan")
+@click.argument("scan", type=ScanName())
 @settings_options(
     "scan",
     "records",
@@ -164,8 +175,17 @@ def calibrate(
         )
         noise.save(part)
     for line in _noise_lines(noise):
-        click.echo(line)
-    click.echo(f"noise in {output}")
+        tell(line)
+    tell(f"noise in {output}")
+    answer(
+        {
+            "file": str(output),
+            "states": [
+                {"wind_speed": float(speed), "unit": "m/s", "least": float(error.min()), "most": float(error.max())}
+                for speed, error in zip(noise.wind_speed, noise.relative_error, strict=True)
+            ],
+        }
+    )
 
 
 def _noise_lines(noise: Noise) -> list[str]:

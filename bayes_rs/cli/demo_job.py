@@ -88,8 +88,10 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield ""
     yield "truth: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STRESSES, stresses, strict=True))
     yield ""
-    yield "Fifty beams at one opening angle tell no more of vv and ww than the prior does: see how the posterior"
-    yield "fills the prior's outline. One beam along the axis helps little at 15°; a wide angle helps most."
+    yield (
+        "Fifty beams at one opening angle tell no more of vv and ww than the prior does: see how the posterior fills "
+        "the prior's outline. One beam along the axis helps little at 15°; a wide angle helps most."
+    )
     yield f"Pictures and files: {output}"
 
 
@@ -106,6 +108,12 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
     first = next(iter(fits.values()))
     rows["the prior alone, at this size"] = pd.Series(_prior_width(first), index=list(STRESSES))
     return pd.DataFrame(rows).T
+
+
+def demo_widths(folder: str | Path) -> dict[str, dict[str, float]]:
+    """Return the table of widths of a demo's folder, as plain numbers by lidar and stress."""
+    table = pd.read_csv(Path(folder) / "widths.csv", index_col=0)
+    return {str(name): {str(stress): float(value) for stress, value in row.items()} for name, row in table.iterrows()}
 
 
 def _prior_width(found: Fit) -> FloatArray:

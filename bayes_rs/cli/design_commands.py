@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.options import GroupedCommand, Quantity, class_options
+from bayes_rs.cli.voice import answer, tell
 from bayes_rs.design.compare_options import CompareOptions
 from bayes_rs.design.scan_criteria import CriterionOptions
 from bayes_rs.design.scan_limits import ScanLimits
@@ -18,7 +21,7 @@ _overwrite = click.option("--overwrite", is_flag=True, help="Replace the folder 
 
 
 @click.command(name="compare", cls=GroupedCommand)
-@click.argument("scans", nargs=-1, required=True, metavar="[LABEL=]SCAN...")
+@click.argument("scans", nargs=-1, required=True, metavar="[LABEL=]SCAN...", type=ScanName())
 @class_options((CompareOptions, "Comparison"))
 @_output
 @_overwrite
@@ -38,8 +41,9 @@ def compare_command(scans: tuple[str, ...], output: Path, overwrite: bool, **opt
 
     _, words = run_compare(scans, output, options=given, overwrite=overwrite)
     for line in words:
-        click.echo(line)
-    click.echo(f"table, figure and JSON in {output}")
+        tell(line, wrap="  " not in line)
+    tell(f"table, figure and JSON in {output}")
+    answer({"folder": str(output), **json.loads((output / "comparison.json").read_text(encoding="utf-8"))})
 
 
 @click.command(cls=GroupedCommand)
@@ -74,8 +78,9 @@ def optimize(n_beams: tuple[int, ...], n_starts: int, seed: int, output: Path, o
 
     _, words = run_optimize(n_beams, output, options=options, n_starts=n_starts, seed=seed, overwrite=overwrite)
     for line in words:
-        click.echo(line)
-    click.echo(f"scan, numbers and picture in {output}")
+        tell(line, wrap="  " not in line)
+    tell(f"scan, numbers and picture in {output}")
+    answer({"folder": str(output), **json.loads((output / "optimum.json").read_text(encoding="utf-8"))})
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from bayes_rs.cli.options import (
 )
 from bayes_rs.cli.range_options import fit_at_range, range_options
 from bayes_rs.cli.records_of_files import EXIT_FLAGGED, exit_if_doubtful, records_and_scan
+from bayes_rs.cli.voice import answer, detail, note, note_detail, tell, tell_rows
 from bayes_rs.fits.settings import AUTO
 
 if TYPE_CHECKING:
@@ -38,7 +40,8 @@ if TYPE_CHECKING:
 def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> None:
     """Estimate the Reynolds stresses of every record, with credible intervals.
 
-    FILES are radial velocities (files, folders or patterns), or records that `bayes-rs records` wrote. In place of
+    FILES are radial velocities (files, folders or patterns; - is a table of text on the standard input), or records
+    that `bayes-rs records` wrote. In place of
     them, or before them, a settings file, or the run.json of an earlier run, which is repeated: options and files on
     the command line count before what it says.
     """
@@ -62,7 +65,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
         if Path(save_settings).exists():
             raise click.UsageError(f"File {save_settings!r} exists, and --save-settings replaces none: give another.")
         settings.save(save_settings)
-    found = fit_files(settings, say=lambda line: click.echo(line, err=True))
+    found = fit_files(settings, say=note_detail)
     draw_pictures(found, Path(output))
     _tell(found, output)
 
@@ -105,12 +108,22 @@ def _figures(found: Fit) -> dict[str, Figure]:
 
 
 def _tell(found: Fit, output: str) -> None:
-    """Say what was found; exit with 1 if there were failures."""
+    """Say what was found, the headline first; exit with 1 if there were failures."""
+    from bayes_rs.fits.headline import NOTHING
+    from bayes_rs.fits.ranged_fit import RangedFit
+
     if found.run.get("n_resumed"):
-        click.echo(f"{found.run['n_resumed']} of {found.n_record} records were finished by an earlier run", err=True)
+        note(f"{found.run['n_resumed']} of {found.n_record} records were finished by an earlier run")
+    headline = found.headline()
+    tell_rows(headline.rows(), doubtful="" if headline.doubtful == NOTHING else "doubtful")
+    table = found.profile_lines() if isinstance(found, RangedFit) else []
+    for line in table:
+        tell(line, wrap=False)
     for line in found.words:
-        click.echo(line)
-    click.echo(f"{found.n_fitted} of {found.n_record} records fitted; results in {output}")
+        if line not in table:
+            detail(line)
+    tell(f"results in {output}", wrap=False)
+    answer({"folder": output, **headline.to_plain()})
     failures = [f"file {name}: {reason}" for name, reason in found.run.get("bad_files", {}).items()]
     if "samples_late" in found.run:
         failures.append(
@@ -118,8 +131,10 @@ def _tell(found: Fit, output: str) -> None:
             f"{found.run['first_late']}: sort the files by time"
         )
     failures += found.failures
-    for line in [*found.remarks, *failures]:
-        click.echo(line, err=True)
+    for line in found.remarks:
+        note_detail(line)
+    for line in failures:
+        note(line)
     if failures:
         sys.exit(EXIT_FLAGGED)
 
@@ -161,9 +176,6 @@ def sensitivity(
     from bayes_rs.intervals import interval_words
     from bayes_rs.output import output_file, write_csv
 
-    def say(line: str) -> None:
-        click.echo(line, err=True)
-
     refuse_beside_noise(settings)
     own = settings.fit
     with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
@@ -173,21 +185,23 @@ def sensitivity(
             scan,
             noise=settings.noise.noise,
             factors=factors,
-            say=say,
+            say=note,
             turbulence=settings.noise.turbulence,
             **{name: getattr(own, name) for name in own.__dataclass_fields__ if name != "draws"},
         )
         if part is not None:
             write_csv(table, part, index=False)
-    click.echo(
+    tell(
         f"Widths of intervals ({interval_words(own.prob, own.interval)}), m² s⁻², medians over the fitted of "
         f"{made.sizes['record']} records. With the prior's width times a factor:"
     )
-    click.echo("the posterior's width over its own under the prior itself; near 1, the data decide.")
+    tell("the posterior's width over its own under the prior itself; near 1, the data decide.")
     for line in sensitivity_lines(table):
-        click.echo(line)
+        tell(line, wrap=False)
     if output is not None:
-        click.echo(f"table in {output}")
+        tell(f"table in {output}", wrap=False)
+    rows = json.loads(table.to_json(orient="records"))
+    answer({"file": None if output is None else str(output), "unit": "m2 s-2", "prob": own.prob, "rows": rows})
     exit_if_doubtful(made)
 
 
@@ -216,4 +230,5 @@ def corner(
         figure.savefig(part, dpi=130)
     if output is None:
         list_beside(picture)
-    click.echo(str(picture))
+    tell(str(picture), wrap=False)
+    answer({"file": str(picture)})

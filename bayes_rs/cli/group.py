@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 
 import click
+from click.shell_completion import CompletionItem
 
 from bayes_rs._version import __version__
+from bayes_rs.cli.voice import colour_of_environment, voice_options
 from bayes_rs.errors import did_you_mean
 
 COMMANDS = {
@@ -42,7 +44,7 @@ class LazyGroup(click.Group):
             return None
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(importlib.import_module(f"bayes_rs.cli.{module}"), name)
-        return command
+        return voice_options(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -60,6 +62,12 @@ class LazyGroup(click.Group):
         except BrokenPipeError as error:
             raise click.Abort from error
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete the names of the commands, with what they do; none is loaded for it."""
+        named = ((name, words) for name, (_, words) in COMMANDS.items() if name.startswith(incomplete))
+        found = [CompletionItem(name, help=words) for name, words in named]
+        return [*found, *(click.Command.shell_complete(self, ctx, incomplete) if incomplete.startswith("-") else [])]
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - as above
         """Write the commands with what they do."""
         with formatter.section("Commands"):
@@ -68,5 +76,11 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="bayes-rs")
-def commands() -> None:
+@click.pass_context
+def commands(ctx: click.Context) -> None:
     """Reynolds stresses with credible intervals from Doppler-lidar radial velocities."""
+    if ctx.color is None:
+        ctx.color = colour_of_environment()
+
+
+voice_options(commands)

@@ -12,6 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bayes_rs._validation import check_count, check_finite, check_non_negative, check_positive, check_seed
+from bayes_rs.cli.completion import ScanName, complete_column
 from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
@@ -360,6 +361,8 @@ def field_option(entry: Option, group: str) -> FieldOption:
         return FieldOption(*names, type=get_args(container), nargs=2, **attributes)
     if origin is Mapping:
         value = get_args(container)[1]
+        if entry.name == "columns":
+            attributes["shell_complete"] = complete_column
         return FieldOption(*names, multiple=True, callback=_pairs(entry, value), **attributes)
     if not entry.about.open and len("|".join(entry.choices)) > _LONGEST_CHOICE:
         attributes.setdefault("metavar", "NAME")
@@ -384,6 +387,8 @@ def _type(entry: Option, kinds: list[Any]) -> Any:
         return NumberOrWord(entry.about.unit, entry.choices) if str in plain else Number()
     if int in plain:
         return click.INT
+    if entry.name == "scan":
+        return ScanName()
     if not entry.about.choices:
         return click.Path() if entry.about.metavar in ("FILE", "FOLDER") else click.STRING
     return OpenChoice(lambda: entry.choices) if entry.about.open else ListedChoice(entry.choices)

@@ -8,9 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from bayes_rs.cli.options import refuse_for_records
+from bayes_rs.cli.voice import note
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,10 +27,10 @@ def exit_if_doubtful(dataset: xr.Dataset) -> None:
 
     skipped = json.loads(dataset.attrs.get("read_report", "{}")).get("files_skipped", [])
     for file in skipped:
-        click.echo(f"file {file['name']}: {file['reason']}", err=True)
+        note(f"file {file['name']}: {file['reason']}")
     doubts = doubt_lines(dataset)
     for line in doubts:
-        click.echo(line, err=True)
+        note(line)
     if skipped or doubts:
         sys.exit(EXIT_FLAGGED)
 
@@ -65,7 +64,7 @@ def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
                     folder,
                     reading=settings.files,
                     quality=settings.quality,
-                    say=lambda line: click.echo(line, err=True),
+                    say=note,
                     workers=settings.output.workers,
                     **record_keywords(settings),
                 ).records
@@ -85,7 +84,7 @@ def with_scan(settings: Settings) -> Settings:
     """Return settings whose scan is found in their files, if it is auto; say on stderr which it is."""
     from bayes_rs.fits.found_scan import with_found_scan
 
-    return with_found_scan(settings, lambda line: click.echo(line, err=True))
+    return with_found_scan(settings, note)
 
 
 def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
@@ -108,9 +107,9 @@ def _finished(made: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
     from bayes_rs.wind.motion import add_motion
 
     for line in describe_report(made):
-        click.echo(line, err=True)
+        note(line)
     made = add_motion(made, scan, settings.records, settings.files)
     if settings.records.motion:
         without = int((made["motion_count"] == 0).sum())
-        click.echo(f"tilt and roll from {len(settings.records.motion)} files; {without} records without", err=True)
+        note(f"tilt and roll from {len(settings.records.motion)} files; {without} records without")
     return made

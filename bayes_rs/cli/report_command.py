@@ -8,6 +8,7 @@ import click
 
 from bayes_rs.cli.options import Quantity
 from bayes_rs.cli.range_options import fit_at_range, range_options
+from bayes_rs.cli.voice import answer, tell
 
 
 @click.command()
@@ -50,7 +51,6 @@ def report(
 
     found = fit_at_range(folder, distance, height)
     other = None if beside is None else fit_at_range(beside, distance, height)
-    page = write_report(
-        found, output, title=title, prob=prob, reference=reference, beside=other, overwrite=overwrite
-    )
-    click.echo(str(page))
+    page = write_report(found, output, title=title, prob=prob, reference=reference, beside=other, overwrite=overwrite)
+    tell(str(page), wrap=False)
+    answer({"file": str(page)})

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.next_command import command_line, files_words, reading_words
 from bayes_rs.cli.options import GroupedCommand, Quantity, settings_options
+from bayes_rs.cli.voice import answer, note, tell, terminal_width
 
 if TYPE_CHECKING:
+    from bayes_rs.geometry.scan import Scan
     from bayes_rs.readers.survey import Survey
 
 _SHARED = 0.8
@@ -22,7 +25,7 @@ _overwrite = click.option("--overwrite", is_flag=True, help="Replace an existing
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, type=ScanName())
 @_output
 @_overwrite
 def scans(name: str | None, output: Path | None, overwrite: bool) -> None:
@@ -38,7 +41,7 @@ def scans(name: str | None, output: Path | None, overwrite: bool) -> None:
             raise click.UsageError("--output draws one scan: name it, as in bayes-rs scans zx-tm -o zx-tm.png.")
         _list_scans()
         return
-    from bayes_rs.geometry.scan_words import scan_lines
+    from bayes_rs.geometry.scan_words import WIDTH, scan_lines
     from bayes_rs.output import output_file
 
     scan = load_scan(name)
@@ -47,26 +50,48 @@ def scans(name: str | None, output: Path | None, overwrite: bool) -> None:
             from bayes_rs.plot.scan_plot import scan as draw_scan
 
             draw_scan(scan).savefig(part, dpi=130)
-    for line in scan_lines(scan):
-        click.echo(line)
+    for line in scan_lines(scan, width=terminal_width(WIDTH)):
+        tell(line, wrap=False)
     if output is not None:
-        click.echo(f"picture in {output}")
+        tell(f"picture in {output}")
+    answer({**_seen(scan), "title": scan.title, "source": scan.source, **({"file": str(output)} if output else {})})
 
 
 def _list_scans() -> None:
-    from bayes_rs.geometry.forward import sight
     from bayes_rs.geometry.scan_file import load_scan
     from bayes_rs.models import preset_names
 
-    click.echo(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R")
+    tell(f"{'scan':<20}{'beams':>6}{'rank':>6}{'condition':>11}  what it sees of R", wrap=False)
+    all_ = []
     for name in preset_names("scans"):
         scan = load_scan(name)
-        seen = sight(scan)
-        click.echo(f"{name:<20}{scan.n_beam:>6}{seen.rank:>6}{seen.condition:>11.1f}  {seen.in_words()}")
-    click.echo("\nrank: independent directions of R that the beams see, of 6; condition: largest over smallest")
-    click.echo("singular value of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw.")
-    click.echo("The scans of instruments have a probe volume; behind a name, @probe=point takes it away.")
-    click.echo("bayes-rs scans NAME shows one, with its beams; bayes-rs find-scan makes one from files.")
+        seen = _seen(scan)
+        all_.append(seen)
+        start = f"{name:<20}{scan.n_beam:>6}{seen['rank']:>6}{seen['condition']:>11.1f}  "
+        tell(start + seen["sees"], indent=len(start))
+    tell()
+    tell(
+        "rank: independent directions of R that the beams see, of 6; condition: largest over smallest singular value "
+        "of what is seen. Any scan takes --opening-angle, --focus-distance, --tilt and --yaw. The scans of instruments "
+        "have a probe volume; behind a name, @probe=point takes it away.",
+        indent=0,
+    )
+    tell("bayes-rs scans NAME shows one, with its beams; bayes-rs find-scan makes one from files.", indent=0)
+    answer({"scans": all_})
+
+
+def _seen(scan: Scan) -> dict[str, Any]:
+    """Return what a scan is and sees, as plain values."""
+    from bayes_rs.geometry.forward import sight
+
+    seen = sight(scan)
+    return {
+        "name": scan.name,
+        "n_beam": scan.n_beam,
+        "rank": seen.rank,
+        "condition": float(seen.condition),
+        "sees": seen.in_words(),
+    }
 
 
 @click.command(name="find-scan", cls=GroupedCommand)
@@ -151,28 +176,28 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
     from bayes_rs.records.report import LEAST_TAKEN
 
     scan = found.scan
-    click.echo(f"{output}: {scan.n_beam} beams, from {scan.source}")
+    tell(f"{output}: {scan.n_beam} beams, from {scan.source}")
     for line in beam_table(scan, {"rays": [str(count) for count in found.n_ray]}):
-        click.echo(line)
+        tell(line, wrap=False)
     every = RECORD / scan.scan_duration
-    click.echo(f"cycle of {scan.scan_duration:g} s: {every:.3g} samples of a beam in {RECORD:g} s")
+    tell(f"cycle of {scan.scan_duration:g} s: {every:.3g} samples of a beam in {RECORD:g} s")
     least, usual, most = found.in_record
     shared = usual < _SHARED * every
     if shared:
         span = f"{least:g} to {most:g}, usually {usual:g}" if least < most else f"{usual:g}"
-        click.echo(
+        tell(
             f"in these files {span}: the lidar shares its time, and records need "
             f"{100.0 * _SHARED:g} % of them, or a lower --min-availability (docs/quality.md)"
         )
-    click.echo(f"probe volume: {probe_in_words(scan.probe, scan.focus_distance)}")
-    click.echo(sight(scan).in_words())
+    tell(f"probe volume: {probe_in_words(scan.probe, scan.focus_distance)}")
+    tell(sight(scan).in_words())
     for index, line in enumerate(found.found.in_words()):
         if index != found.chosen:
-            click.echo(f"not of this scan: {line}")
+            tell(f"not of this scan: {line}")
     reasons = Counter(found.found.skipped.values())
     for path, reason in found.found.skipped.items():
         if reasons.pop(reason, 0):
-            click.echo(f"file {path.name}: {reason}", err=True)
+            note(f"file {path.name}: {reason}")
     others = [path for index, one in enumerate(found.found.groups) if index != found.chosen for path in one.files]
     named = files_words(files, found.files, [*others, *found.found.skipped])
     where = {name: value for name, value in options.items() if name in ("range", "height")}
@@ -185,7 +210,10 @@ def _tell(found: Survey, files: tuple[str, ...], output: Path, options: dict[str
         which = [*named, "--scan", str(output)]
     if shared and usual >= LEAST_TAKEN:
         which += ["--min-availability", f"{math.floor(20.0 * usual / every) / 20.0:g}"]
-    click.echo(f"next: {command_line('bayes-rs', 'fit', *which, *reading, '-o', 'OUT/')}")
+    following = command_line("bayes-rs", "fit", *which, *reading, "-o", "OUT/")
+    tell(f"next: {following}", wrap=False)
+    rays = [int(count) for count in found.n_ray]
+    answer({"file": str(output), **_seen(scan), "source": scan.source, "rays": rays, "next": following})
 
 
 @click.command(cls=GroupedCommand)
@@ -199,23 +227,28 @@ def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options
     Format and the options that it assumes, beams or directions with their samples, gates, sampling, gaps, what is
     missing, and what the sign says; of a table its headings with what they seem to be; of a cone the mean velocity
     over the phase with the phase zeros that there may be. Of many files twenty are read, of a long table the first
-    200 000 rows.
+    200 000 rows. A file - is the standard input: a table of text.
     """
     from bayes_rs.cli.options import settings_of
     from bayes_rs.output import output_file
     from bayes_rs.readers.looking import look as look_at
+    from bayes_rs.readers.standard_input import with_standard_input
 
     given = settings_of((), options).files.of_reading()
-    found = look_at(list(files), **{name: value for name, value in given.items() if name != "on_bad_file"})
+    with with_standard_input(files) as named:
+        found = look_at(named, **{name: value for name, value in given.items() if name != "on_bad_file"})
+    words = dict(zip(named, files, strict=True))  # what to type next has the names that were given
     if output is not None:
         with output_file(output, overwrite=overwrite) as part:
             from bayes_rs.plot.look_plot import draw_look
 
             draw_look(found).savefig(part, dpi=130)
     for line in found.lines:
-        click.echo(line)
+        tell(line, wrap=not line.startswith(" "))
     if output is not None:
-        click.echo(f"picture in {output}")
+        tell(f"picture in {output}")
     where = {name: value for name, value in options.items() if name in ("range", "height")}
     reading = reading_words({name: value for name, value in options.items() if name not in ("on_bad_file", *where)})
-    click.echo(f"next: {command_line('bayes-rs', *found.words[:-2], *reading, *found.words[-2:])}")
+    following = [words.get(word, word) for word in ("bayes-rs", *found.words[:-2], *reading, *found.words[-2:])]
+    tell(f"next: {command_line(*following)}", wrap=False)
+    answer({"lines": list(found.lines), "next": command_line(*following)})

@@ -9,6 +9,7 @@ import click
 
 from bayes_rs.cli.options import GroupedCommand, Quantity, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of, with_scan
+from bayes_rs.cli.voice import answer, tell
 
 
 @click.command(cls=GroupedCommand)
@@ -70,6 +71,12 @@ def spectra(
     scan = settings.scan.load()
     series = series_of(settings, scan)
     made = records_of(series, scan, settings)
+    lines: list[str] = []
+
+    def say(line: str) -> None:
+        lines.append(line)
+        tell(line)
+
     run_spectra(
         series,
         made,
@@ -83,7 +90,8 @@ def spectra(
         one_length_scale=one_length_scale,
         overwrite=overwrite,
         source_files=[Path(file).name for file in settings.files.files],
-        say=click.echo,
+        say=say,
     )
-    click.echo(f"results in {output}")
+    tell(f"results in {output}")
+    answer({"folder": str(output), "lines": lines})
     exit_if_doubtful(made)

@@ -9,6 +9,7 @@ import click
 
 from bayes_rs.cli.options import GroupedCommand, Quantity, refuse_given, settings_of, settings_options
 from bayes_rs.cli.records_of_files import exit_if_doubtful, records_and_scan
+from bayes_rs.cli.voice import answer, plain_number, tell
 
 
 @click.command(cls=GroupedCommand)
@@ -71,7 +72,15 @@ def wind(
                     table[f"profile_{name}"] = profile[name].values
         write_csv(table, part, index_label="record", date_format="%Y-%m-%dT%H:%M:%S")
     middle = table[["wind_speed_sd", "yaw_sd"]].median()
-    click.echo(
+    answer(
+        {
+            "file": str(output),
+            "n_record": len(table),
+            "wind_speed_sd": {"median": plain_number(middle["wind_speed_sd"]), "unit": "m/s"},
+            "yaw_sd": {"median": plain_number(middle["yaw_sd"]), "unit": "degree"},
+        }
+    )
+    tell(
         f"{len(table)} records; median standard deviation of the wind speed {middle['wind_speed_sd']:.2f} m/s, of its "
         f"direction {middle['yaw_sd']:.1f}°; table in {output}"
     )

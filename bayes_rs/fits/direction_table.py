@@ -13,6 +13,8 @@ from bayes_rs.geometry.forward import RANK_TOLERANCE, design_matrix
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 
+_NAMED = 0.25
+"""Share of the largest coefficient from which on a stress is named in a direction."""
 COLUMNS = ("record", "direction", "weight", "seen", "contraction", "contraction_shape", *STRESSES)
 
 
@@ -131,6 +133,40 @@ def direction_words(direction: FloatArray) -> str:
             sign = "− " if value < 0.0 else "+ " if terms else ""
             terms.append(f"{sign}{abs(value):.2f} {name}")
     return " ".join(terms)
+
+
+def direction_name(direction: FloatArray) -> str:
+    """Name a direction by the stresses that it is made of.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (6,)
+        Coefficients.
+
+    Returns
+    -------
+    name : str
+        Stresses whose coefficient is at least `_NAMED` of the largest: those of its sign, against the others.
+
+    Examples
+    --------
+    >>> direction_name(np.array([-0.04, 0.71, -0.70, 0.0, 0.0, 0.0]))
+    'vv against ww'
+    >>> direction_name(np.array([0.5, 0.6, 0.6, 0.0, 0.0, 0.0]))
+    'uu, vv and ww together'
+    """
+    largest = direction[np.abs(direction).argmax()]
+    share = direction / largest
+    one, other = (
+        [name for name, value in zip(STRESSES, sign * share, strict=True) if value >= _NAMED] for sign in (1, -1)
+    )
+    if not other:
+        return one[0] if len(one) == 1 else f"{_joined(one)} together"
+    return f"{_joined(one)} against {_joined(other)}"
+
+
+def _joined(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _shape(stress: FloatArray) -> FloatArray:

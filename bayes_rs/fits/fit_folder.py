@@ -23,6 +23,7 @@ from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
 from bayes_rs.fits.folder_tables import DATASETS, FolderTables
 from bayes_rs.fits.parts import Done, Part, fit_part
+from bayes_rs.fits.people_table import PEOPLE_FILE, PeopleRows, write_people_table
 from bayes_rs.fits.plan import LAYOUT, N_PRIOR_DRAW, Plan
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
 from bayes_rs.fits.run_file import RunOfFit, checked_run, checked_run_of_ranges
@@ -139,7 +140,7 @@ def fit_into(
         raise
     found = _fit_in(folder, run, checked, plan.scan, str(folder.path))
     try:
-        _write_exports(folder, found)
+        _write_exports(folder, found, plan.records)
         counts = {"n_fitted": found.n_fitted, "n_resumed": n_resumed, "flags": found.flags, "words": found.words}
     except (InputError, OSError):
         folder.check_whole()  # a part that went while the others were made is named as lost
@@ -309,8 +310,9 @@ def _means(fitted: Fit) -> FloatArray:
     return fitted.of_stresses("mean")["mean"]
 
 
-def _write_exports(folder: ResultFolder, found: Fit) -> None:
-    """Write what other programs read: the summary as CSV, and all groups as NetCDF, of fits that are not too long."""
+def _write_exports(folder: ResultFolder, found: Fit, records: xr.Dataset) -> None:
+    """Write what others read: the table for people, and of fits that are not too long, summary (CSV) and all groups."""
+    folder.write(PEOPLE_FILE, partial(write_people_table, [PeopleRows(found, records, {})]))
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, exported_summary(found), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)

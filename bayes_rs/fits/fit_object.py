@@ -20,6 +20,7 @@ from bayes_rs.fits.direction_table import direction_medians, direction_rows
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import GROUPS, attributes, group_of
+from bayes_rs.fits.headline import Headline, headline_of
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
@@ -328,6 +329,19 @@ class Fit(FitData):
     def __contains__(self, name: object) -> bool:
         """Say whether there is a group of that name, with draws where it needs them."""
         return name in GROUPS and (self.has_draws or name not in ("posterior", "posterior_predictive"))
+
+    def headline(self) -> Headline:
+        """Return what was found, what the data decided of it and what is doubtful, in three lines.
+
+        Returns
+        -------
+        headline : Headline
+            ``print(fit.headline())`` shows it; ``numbers`` holds the same as plain numbers. Turbulence intensity is
+            σ_u/U of the median record: medians over the fitted records of the posterior's median and of the ends of
+            its interval, with the 5 % and 95 % quantiles of the records' medians, and where there is a campaign, its
+            mean. A stress counts as the prior's by `is_priors` of the median record's ``decided``.
+        """
+        return headline_of(self)
 
     @property
     def words(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import xarray as xr
 
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import STANDARD_INPUT
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import fit_into, open_fit
 from bayes_rs.fits.fit_object import Fit
@@ -29,6 +30,7 @@ from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
+from bayes_rs.readers.standard_input import with_standard_input
 from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_store import store_records
@@ -46,7 +48,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     Parameters
     ----------
     settings : Settings
-        Which scan, which files, and everything else.
+        Which scan, which files, and everything else. The file ``-`` is the standard input, a table of text.
     progress : bool, optional
         Progress bars on stderr; by default only on a terminal.
     say : callable
@@ -89,6 +91,12 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
     output = settings.output.output
     if output is None:
         raise InputError("No folder is given for the results: name one with output (--output).")
+    with with_standard_input(settings.files.files) as files:
+        return _fit_files(settings.changed(files=tuple(files)), settings.files.files, output, progress, say)
+
+
+def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, progress: bool | None, say: Say) -> Fit:
+    """Do what `fit_files` does with files; `named` is how they were named."""
     settings = with_found_scan(settings, say)
     scan = settings.scan.load()
     workers, client = settings.output.workers, settings.output.scheduler
@@ -122,7 +130,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         if isinstance(at_ranges, RangedScan):
             check_no_noise(noise, at_ranges)
             records = add_motion(records, scan, settings.records, settings.files)
-            sections = _other_sections(settings, None)
+            sections = _other_sections(settings, None, named)
             job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
             fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)
             return open_fit(output)
@@ -132,7 +140,7 @@ def fit_files(settings: Settings, *, progress: bool | None = None, say: Say = la
         with one_thread():
             found, records = noise_and_records(records, scan, noise, options, settings.noise, say)
             plan = plan_fit(records, scan, found, options, inputs=inputs, in_folder=True)
-        plan = with_settings(plan, **_other_sections(settings, noise))
+        plan = with_settings(plan, **_other_sections(settings, noise, named))
         fit_into(folder, plan, workers=workers, client=client, progress=progress, noise=noise, more=about)
     return open_fit(output)
 
@@ -180,8 +188,10 @@ def _key_parts(settings: Settings, scan: Scan, noise: Noise | None) -> dict[str,
     )
 
 
-def _other_sections(settings: Settings, noise: Noise | None) -> dict[str, Any]:
+def _other_sections(settings: Settings, noise: Noise | None, named: Sequence[str]) -> dict[str, Any]:
     """Return what `run.json` says of the settings beside those of the fit itself."""
+    if STANDARD_INPUT in named:  # a file that held it is gone
+        settings = settings.changed(files=tuple(named))
     plain = settings.with_whole_paths().to_plain()
     sections = {name: values for name, values in plain.items() if name not in ("fit", "output")}
     return {**sections, "noise": noise_section(settings.noise, noise)}

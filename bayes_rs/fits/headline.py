@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.campaign_words import ALL
+from bayes_rs.fits.campaign_words import ALL, campaign_failures
 from bayes_rs.fits.columns import TABLE
 from bayes_rs.fits.direction_table import median_of_known
 from bayes_rs.fits.fit_data import FitData
@@ -74,7 +74,7 @@ def headline_of(fit: FitData) -> Headline:
     summary = fit.of_stresses(*_COLUMNS)
     wind = _wind(fit)
     prob = float(fit.settings["fit"]["prob"])
-    doubts, doubted = _doubts(fit.run, fit.flag, "records")
+    doubts, doubted = _doubts(fit.run, [fit])
     numbers: dict[str, Any] = {"n_record": fit.n_record, "n_fitted": fit.n_fitted, "prob": prob, "doubtful": doubted}
     counted = f"{fit.n_fitted} of {fit.n_record} records fitted"
     if not fit.n_fitted:
@@ -107,14 +107,13 @@ def headline_of_ranges(
     profile : DataFrame
         From `RangedFit.profile`; empty if no record was fitted.
     """
-    flags = np.concatenate([np.zeros(0, dtype=np.int64), *(own.flag for own in fits.values())])
-    doubts, doubted = _doubts(run, flags, "records", [line for own in fits.values() for line in own.run["doubts"]])
-    n_fitted = sum(own.n_fitted for own in fits.values())
-    counted = f"{n_fitted} of {len(flags)} records fitted at {len(fits)} of {len(names)} ranges"
+    doubts, doubted = _doubts(run, list(fits.values()))
+    n_fitted, n_record = (sum(getattr(own, name) for own in fits.values()) for name in ("n_fitted", "n_record"))
+    counted = f"{n_fitted} of {n_record} records fitted at {len(fits)} of {len(names)} ranges"
     if len(fits) < len(names):
         lost = f"{len(names) - len(fits)} of {len(names)} ranges without a record that can be fitted"
         doubts = lost if doubts == NOTHING else f"{lost}; {doubts}"
-    numbers: dict[str, Any] = {"n_record": len(flags), "n_fitted": n_fitted, "doubtful": doubted}
+    numbers: dict[str, Any] = {"n_record": n_record, "n_fitted": n_fitted, "doubtful": doubted}
     if len(names) == len(fits) == 1:
         (only,) = fits.values()
         alone = headline_of(only)
@@ -128,7 +127,9 @@ def headline_of_ranges(
     shares = np.array([median_of_known(own.of_stresses("decided")["decided"]) for own in fits.values()])
     numbers |= {"prob": prob, "wind_speed": _wind_numbers(wind), "profile": profile.to_dict("records")}
     said = [
-        f"{_number(row['estimate'])} ({_pair(row)}) at {names[place]}" for place, row in zip(fits, rows, strict=True)
+        f"{_number(row['estimate'])} ({_pair(row)}) at {names[place]}"
+        for place, row in zip(fits, rows, strict=True)
+        if np.isfinite(row["estimate"])
     ]
     ends = said if len(said) < 2 else [said[0], f"to {said[-1]}"]
     found = f"TI {' '.join(ends)}, {100.0 * prob:g} % intervals ({rows[0]['of']})"
@@ -187,8 +188,8 @@ def _decided_at(shares: FloatArray) -> str:
     always = [name for name, number in zip(STRESSES, count, strict=True) if number == total]
     never = [name for name, number in zip(STRESSES, count, strict=True) if number == 0]
     some = [f"{name} at {number}" for name, number in zip(STRESSES, count, strict=True) if 0 < number < total]
-    parts = [f"the beams measured {_listed(always)} at all ranges"] if always else []
-    parts += [f"the beams measured {', '.join(some)} of {total} ranges"]
+    measured = [f"{_listed(always)} at all ranges"] if always else []
+    parts = [f"the beams measured {', '.join([*measured, *some])} of {total}"]
     parts += [f"{_listed(never)} {'is' if len(never) == 1 else 'are'} mostly the prior's at all"] if never else []
     return "; ".join(parts)
 
@@ -243,25 +244,23 @@ def _stress_numbers(summary: Mapping[str, FloatArray]) -> dict[str, Any]:
     return found
 
 
-def _doubts(
-    run: Mapping[str, Any], flags: NDArray[np.int64], of: str, more: Sequence[str] = ()
-) -> tuple[str, dict[str, Any]]:
+def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[str, Any]]:
     """Say what is doubtful, and return it as numbers: flags of records, data that are not believed, files not read."""
+    none: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+    flags = np.concatenate([none, *(own.flag for own in fits)])
     counts = {word: int(np.count_nonzero(flags & bit)) for word, bit in FLAGS.items()}
     counts = {word: count for word, count in counts.items() if count}
     ordered = sorted(counts, key=lambda word: (not FLAGS[word] & FAILURES, -counts[word]))
-    parts = [f"{counts[word]} of {len(flags)} {of}: {_meaning(word)}" for word in ordered[:1]]
+    parts = [f"{counts[word]} of {len(flags)} records: {_meaning(word)}" for word in ordered[:1]]
     parts += [f"{counts[word]}: {_meaning(word)}" for word in ordered[1:_MOST_FLAGS]]
     if len(ordered) > _MOST_FLAGS:
         parts.append(f"and {len(ordered) - _MOST_FLAGS} more flags")
-    files, doubts = dict(run.get("bad_files", {})), [*run.get("doubts", []), *more]
+    files, doubts = dict(run.get("bad_files", {})), [line for own in fits for line in own.run["doubts"]]
     late = int(run.get("samples_late", 0))
     parts += [f"{len(files)} file{'s' * (len(files) > 1)} could not be used"] if files else []
     parts += [f"{late} samples came too late for their record"] if late else []
     parts += ["some of the data are not believed"] if doubts else []
-    campaign = run.get("campaign") or {}
-    if campaign.get("on") and not campaign.get("converged", True):
-        parts.append("the campaign's chains fell short")
+    parts += ["the campaign's chains fell short"] if any(campaign_failures(own.run["campaign"]) for own in fits) else []
     numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts}
     return "; ".join(parts) or NOTHING, numbers
 

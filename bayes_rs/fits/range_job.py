@@ -18,6 +18,7 @@ from bayes_rs.fits.fit_folder import MOST_CSV, fit_into, ranged_fit_in
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
+from bayes_rs.fits.people_table import PEOPLE_FILE, write_people_table
 from bayes_rs.fits.plan import Plan, option_parts, plain_options, plan_fit, software, version_parts, with_settings
 from bayes_rs.fits.prepare import LEAST_WIND, sound_beams
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
@@ -28,6 +29,7 @@ from bayes_rs.geometry.scan_writing import scan_text
 from bayes_rs.noise.noise import Noise
 from bayes_rs.output import write_csv
 from bayes_rs.processor import one_thread
+from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
 from bayes_rs.records.ranges import split_ranges
 from bayes_rs.result_folder import ResultFolder
@@ -184,9 +186,12 @@ def fit_ranges_into(
         left.append(_Inner(folder.path / name, words, parts, part))
     if client is None and 1 < workers <= len(left):  # a range each: nothing waits for the noise of another
         shared = _Shared(replace(job, records=xr.Dataset()), progress=False)
-        for lines in done_parts(_fit_inner, shared, left, workers, None):
-            for line in lines:
-                say(line)
+        silent = None if progress is None else not progress
+        with progress_counter(len(left), "fitting", " ranges", disable=silent) as bar:
+            for lines in done_parts(_fit_inner, shared, left, workers, None):
+                for line in lines:
+                    say(line)
+                bar.update(1)
     else:
         for one in left:
             _fit_inner(_Shared(job, progress, workers, client, say), one)
@@ -195,6 +200,7 @@ def fit_ranges_into(
     if found.n_record <= MOST_CSV:
         write = partial(write_csv, found._together(exported_summary), index=False, date_format="%Y-%m-%dT%H:%M:%S")
         folder.write("summary.csv", write)
+    folder.write(PEOPLE_FILE, partial(write_people_table, found.people_rows()))
     folder.write(PROFILE_FILE, partial(write_csv, found.profile(), index=False))
     counts = {"n_record": found.n_record, "n_fitted": found.n_fitted, "flags": found.flags, "words": found.words}
     folder.finish({**run, **counts})

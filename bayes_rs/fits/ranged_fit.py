@@ -16,6 +16,8 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.groups import GROUPS
+from bayes_rs.fits.headline import Headline, headline_of_ranges
+from bayes_rs.fits.people_table import PeopleRows
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
@@ -385,27 +387,61 @@ class RangedFit(Fit):
         """Say whether there is a group of that name; they are of each range."""
         return False
 
+    def headline(self) -> Headline:
+        """Return what was found, what the data decided of it and what is doubtful: of the profile, in three lines.
+
+        Returns
+        -------
+        headline : Headline
+            As of `Fit.headline`; turbulence intensity at the first and at the last range, from `profile`.
+        """
+        table = self.profile() if self.n_fitted else pd.DataFrame()
+        return headline_of_ranges(self.run, self.fits, self.range_names, table)
+
+    def people_rows(self) -> list[PeopleRows]:
+        """Return where the rows of the table for people come from, range after range."""
+        heights = self.heights
+        return [
+            PeopleRows(
+                own,
+                own.records,
+                {
+                    "range_m": float(self.ranges[place]),
+                    **({} if heights is None else {"height_m": float(heights[place])}),
+                },
+            )
+            for place, own in self.fits.items()
+        ]
+
+    def profile_lines(self) -> list[str]:
+        """Return the profile as a table of text, a line for each range that has a fit."""
+        if not self.n_fitted:
+            return []
+        what = "range" if self.heights is None else "height"
+        lines = [f"{what:>7}{'records':>8}  {'TI':<20}" + "".join(f"{name:>6} " for name in STRESSES).rstrip()]
+        table = self.profile()
+        for place, own in self.fits.items():
+            here = table[table["range"] == float(self.ranges[place])]
+            rows = {str(row["quantity"]): row for row in here.to_dict("records")}
+            said = f"{_marked(rows['ti'], 3)} ({rows['ti']['low']:.3f}–{rows['ti']['high']:.3f})"
+            name = self.range_names[place].partition(" ")[2]
+            cells = "".join(f"{_marked(rows[stress], 2):>7}" for stress in STRESSES)
+            lines.append(f"{name:>7}{own.n_fitted:>8}  {said:<20}{cells}".rstrip())
+        called = interval_words(float(table["prob"].iloc[0]), str(table["interval"].iloc[0]))
+        lines.append(f"TI with {called}, and stresses, m² s⁻² ({' or '.join(dict.fromkeys(table['of']))})")
+        marked = is_priors(table["decided"].to_numpy(dtype=np.float64)).any()
+        return [*lines, *(["*: more the prior's than the data's"] if marked else [])]
+
     @property
     def words(self) -> list[str]:
-        """What was found, a line for each range, after what the scan sees and which prior it was."""
+        """What the scan sees and which prior it was, and the profile, a line for each range."""
         fits = list(self.fits.values())
         if not fits:
             return ["no range has a record that can be fitted"]
-        lines = [f"scan {self.run['scan']}: {fits[0].run['sight']}", f"prior {fits[0].run['prior']}"]
-        table = self.profile()
-        names = self._of_ranges.names()
-        for place in self.fits:
-            rows = table[table["range"] == float(self.ranges[place])].to_dict("records")
-            said = ", ".join(f"{row['quantity']} {_interval(row)}" for row in rows)
-            fitted = self.fits[place]
-            lines.append(f"{names[place]}, {fitted.n_fitted} of {fitted.n_record} records: {said}")
-        said = interval_words(float(table["prob"].iloc[0]), str(table["interval"].iloc[0]))
-        of = " or ".join(dict.fromkeys(table["of"]))
-        lines.append(
-            f"turbulence intensity and stresses, m² s⁻², each with its {said} ({of}); *: more the prior's than "
-            "the data's"
-        )
+        names = self.range_names
         lost = [names[place] for place in range(len(names)) if place not in self.fits]
+        lines = [f"scan {self.run['scan']}: {fits[0].run['sight']}", f"prior {fits[0].run['prior']}"]
+        lines += self.profile_lines()
         return [*lines, *([f"without a record that can be fitted: {', '.join(lost)}"] if lost else [])]
 
     @property
@@ -420,7 +456,7 @@ class RangedFit(Fit):
 
     def _lines(self, lines: Callable[[Fit], Sequence[str]]) -> list[str]:
         where: dict[str, list[str]] = {}
-        names = self._of_ranges.names()
+        names = self.range_names
         for place, own in self.fits.items():
             for line in lines(own):
                 where.setdefault(line, []).append(names[place])
@@ -471,6 +507,6 @@ def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
     return pd.concat([table, intensity.assign(stress="ti")], ignore_index=True)
 
 
-def _interval(row: Mapping[Any, Any]) -> str:
-    mark = "*" if is_priors(row["decided"]) else ""
-    return f"{row['estimate']:.3g}{mark} ({row['low']:.3g} to {row['high']:.3g})"
+def _marked(row: Mapping[Any, Any], digits: int) -> str:
+    """Write an estimate, with a star where it is more the prior's than the data's."""
+    return f"{row['estimate']:.{digits}f}{'*' if is_priors(row['decided']) else ' '}"

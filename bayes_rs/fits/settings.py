@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError
-from bayes_rs.file_options import ON_BAD_FILE, FileOptions
+from bayes_rs.file_options import ON_BAD_FILE, STANDARD_INPUT, FileOptions
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, prior_file
 from bayes_rs.layouts import Open, read_json
 from bayes_rs.options import (
@@ -268,7 +268,7 @@ class Settings:
         """Return the settings with relative paths as paths in a folder."""
 
         def place(name: str | Path) -> str:
-            return str(folder / name)
+            return STANDARD_INPUT if name == STANDARD_INPUT else str(folder / name)
 
         file = prior_file(self.fit.prior)
 

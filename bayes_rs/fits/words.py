@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.fits.direction_table import direction_words, median_of_known
+from bayes_rs.fits.direction_table import direction_name, direction_words, median_of_known
 from bayes_rs.fits.flags import FAILURES, FLAGS, flag_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
@@ -77,7 +77,8 @@ def least_seen(table: pd.DataFrame) -> list[str]:
         return []
     unseen = int((along["weight"] == 0.0).sum())
     last = along.sort_values(["weight", "contraction_shape"]).iloc[0]
-    which = direction_words(last[list(STRESSES)].to_numpy(dtype=np.float64))
+    direction = last[list(STRESSES)].to_numpy(dtype=np.float64)
+    which = f"{direction_name(direction)} ({direction_words(direction)})"
     how = {0: "hardly see", 1: "do not see"}.get(unseen, f"do not see (one of {unseen} such directions)")
     prior = 100.0 * min(max(1.0 - last["contraction_shape"], 0.0), 1.0)
     return [f"the beams {how} {which}: {prior:.0f} % of its share of the whole comes from the prior"]

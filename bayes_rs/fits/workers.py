@@ -15,6 +15,7 @@ from loky import ProcessPoolExecutor
 from bayes_rs._validation import check_count
 from bayes_rs.errors import InputError, MissingExtraError, WorkerError
 from bayes_rs.processor import end_with, one_thread
+from bayes_rs.progress import Tally, tally_in, worker_tally
 
 _Part = TypeVar("_Part")
 _Done = TypeVar("_Done")
@@ -62,18 +63,27 @@ def run_processes(
     WorkerError
         If processes are killed again and again.
     """
+    with worker_tally() as tally:
+        yield from _in_pool(work, shared, parts, n_worker, tally)
+
+
+def _in_pool(
+    work: Callable[[Any, _Part], _Done], shared: Any, parts: Sequence[_Part], n_worker: int, tally: Tally
+) -> Generator[_Done, None, None]:
     waiting = list(range(len(parts)))[::-1]
     deaths = 0
     while waiting:
         running: dict[Future[_Done], int] = {}
         # loky: its processes start clean, need no guard in the user's script, and tell when one is killed
-        pool = ProcessPoolExecutor(n_worker, initializer=_share, initargs=(shared, os.getpid()))
+        pool = ProcessPoolExecutor(n_worker, initializer=_share, initargs=(shared, os.getpid(), tally.file))
         try:
             while waiting or running:
                 while waiting and len(running) < _AHEAD * n_worker:
                     running[pool.submit(_work, work, parts[waiting[-1]])] = waiting[-1]
                     waiting.pop()
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                ready = wait(running, tally.seconds, return_when=FIRST_COMPLETED).done
+                tally.look()
+                for future in ready:
                     done = future.result()  # before it leaves the list of what runs, so that it can be done again
                     del running[future]
                     deaths = 0
@@ -257,9 +267,10 @@ def _scatter(client: Any, shared: Any, deaths: int) -> Any:
     return everywhere
 
 
-def _share(shared: Any, parent: int) -> None:
+def _share(shared: Any, parent: int, tally: str | None) -> None:
     global _shared  # noqa: PLW0603 - a process of the pool has nothing else to keep it in
     _shared = shared
+    tally_in(tally)
     end_with(parent)
 
 

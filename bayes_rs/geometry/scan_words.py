@@ -18,18 +18,20 @@ _MOST_ROWS = 12  # beams of a table; of more the first and the last are shown
 _SEVERAL = 1e-6  # m and rad by which beams differ
 
 
-def scan_lines(scan: Scan) -> list[str]:
+def scan_lines(scan: Scan, width: int = WIDTH) -> list[str]:
     """Return lines that say what a scan is, what it sees of R, and where its numbers come from.
 
     Parameters
     ----------
     scan : Scan
         The scan.
+    width : int
+        Characters that a line may have.
 
     Returns
     -------
     lines : list of str
-        Up to 110 characters each.
+        Up to `width` characters each, but for the table of the beams.
     """
     seen = sight(scan)
     timing = (
@@ -47,9 +49,9 @@ def scan_lines(scan: Scan) -> list[str]:
         ("files", ", ".join(f"{key} = {value}" for key, value in scan.file_format.items()) or "no options of reading"),
         ("source", scan.source or "not given"),
     ]
-    lines = [f"{scan.name}: {scan.title or 'a scan'}", ""]
+    lines = [*textwrap.wrap(f"{scan.name}: {scan.title or 'a scan'}", width), ""]
     for what, words in facts:
-        lines += textwrap.wrap(words, WIDTH, initial_indent=f"{what:<10}", subsequent_indent=" " * 10)
+        lines += textwrap.wrap(words, width, initial_indent=f"{what:<10}", subsequent_indent=" " * 10)
     return [*lines, "", *beam_table(scan)]
 
 

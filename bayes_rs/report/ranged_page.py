@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.headline import headline_of_ranges
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
@@ -68,7 +67,7 @@ def render_ranges(found: RangedFit, links: Mapping[int, str], *, title: str | No
         ("provenance", "How it was made", folded("Settings", pairs(flat(dict(found.run["settings"])), "settings"))),
     ]
     fitted = f"{found.n_fitted} of {found.n_record} records at {len(found.fits)} of {len(found.ranges)} ranges"
-    said = headline(headline_of_ranges(found.run, found.fits, names, rows))
+    said = headline(found.headline())
     numbers = pairs([("fitted", fitted), ("scan", scan), ("prior", str(first.run["prior_name"]))], "key-numbers")
     lead = f'<p class="lead">{escape(_LEAD)} The scan {escape(str(first.run["sight"]))}.</p>'
     data = {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.headline import Headline, headline_of
+from bayes_rs.fits.headline import Headline
 from bayes_rs.fits.shape_points import SHAPE_NAMES, ShapePoints, shape_points
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
@@ -143,7 +143,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         run=dict(fit.run),
         records=fit.records,
         prob=own["prob"] if prob is None else prob,
-        headline=headline_of(fit),
+        headline=fit.headline(),
         record=np.arange(fit.n_record),
         time=fit.time,
         flag=fit.flag,

@@ -36,7 +36,7 @@ SCAN = "6-beam@opening_angle_deg=45,focus_distance=52"
 EFFORT = {"target_ess": 100, "sampler": "direct", "seed": 1, "campaign": "on"}
 RUN_TOO = ("run.json", LEDGER)
 """Files of a fit that hold the time that it took."""
-PICTURES = ("report.html", "summary.csv", "stresses.png", "corner.png", "campaign.png")
+PICTURES = ("report.html", "summary.csv", "stresses.csv", "stresses.png", "corner.png", "campaign.png")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,9 @@ def scene() -> Scene:
     settings.save(place / "settings.toml")
     begun = place / "begun"
     ledger = read_ledger(begun)
-    for name in [name for name in ledger.files if name.startswith(("campaign", "posterior.nc", "summary.csv"))]:
+    for name in [
+        name for name in ledger.files if name.startswith(("campaign", "posterior.nc", "summary.csv", "stresses.csv"))
+    ]:
         (begun / name).unlink()
         ledger.put(name, None)
     write_ledger(begun, ledger, finished=False)
@@ -495,7 +497,9 @@ def _fit_case(rng: np.random.Generator, name: str, seed: int) -> Case:
     files = sorted(
         file.relative_to(made.place / which).as_posix() for file in (made.place / which).rglob("*") if file.is_file()
     )
-    files = [file for file in files if not file.endswith((".png", ".html", "posterior.nc", "summary.csv"))]
+    files = [
+        file for file in files if not file.endswith((".png", ".html", "posterior.nc", "summary.csv", "stresses.csv"))
+    ]
     file = files[rng.integers(len(files))]
     by_bytes, sealed = rng.random() < 0.25, rng.random() < 0.6
     how = int(rng.integers(6)) if which == "fit" else int(rng.integers(4))
