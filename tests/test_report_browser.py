@@ -62,6 +62,7 @@ def files(tmp_path_factory):
         "tables": table_folder(folder / "tables"),
         "draws": table_folder(folder / "draws", draws="float32"),
         "gaps": with_gaps(Path(shutil.copytree(full, folder / "gaps"))),
+        "fleet": with_turbines(Path(shutil.copytree(folder / "tables", folder / "fleet"))),
     }
     pages = {name: write_report(path, folder / f"{name}.html") for name, path in made.items()}
     mast = folder / f"{FILE_EVIL}.csv"
@@ -81,6 +82,24 @@ def with_gaps(folder):
     rows = pd.read_parquet(part)
     rows.loc[1, "misfit"] = np.nan
     rows.to_parquet(part, index=False)
+    seal_folder(folder)
+    return folder
+
+
+def with_turbines(folder):
+    """Give the first ten records to one turbine, and the others to one of a hostile name, at the same times."""
+    first = 10
+    records = xr.load_dataset(folder / "records.nc", engine="h5netcdf")
+    start = records["time"].values.copy()
+    start[first:] = start[0] + np.arange(len(start) - first) * np.timedelta64(600, "s")
+    names = np.array(["T01"] * first + [EVIL] * (len(start) - first), dtype=object)
+    records = records.assign_coords(time=("record", start)).assign(turbine=("record", names))
+    (folder / "records.nc").unlink()
+    records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+    for file in folder.glob("*/**/*.parquet"):
+        rows = pd.read_parquet(file)
+        rows["time"] = start[rows["record"].to_numpy()].astype(rows["time"].to_numpy().dtype)
+        rows.to_parquet(file, index=False)
     seal_folder(folder)
     return folder
 
@@ -493,6 +512,38 @@ class TestAddress:
         assert page.evaluate("location.hash") == "#shape"
         assert page.locator("#address").is_hidden()
         assert page.locator("#shape").evaluate("e => Math.abs(e.getBoundingClientRect().top) < innerHeight")
+
+
+class TestFleet:
+    def test_a_turbine_is_chosen_by_list_and_by_address(self, open_page):
+        page = open_page("fleet")
+        page.select_option("#turbine", label=EVIL)
+        settled(page)
+        assert span_of(page) == f"{EVIL}, 2020-01-01 00:00 to {EVIL}, 2020-01-01 02:00"
+        page.evaluate("name => { location.hash = `#${encodeURIComponent(name)}/2020-01-01T00:50`; }", EVIL)
+        page.wait_for_function("document.getElementById('pick').value === '15'")
+        page.evaluate("location.hash = '#T01/2020-01-01T00:50'")
+        page.wait_for_function("document.getElementById('pick').value === '5'")
+        settled(page)
+        assert page.locator("#turbine").evaluate("e => e.selectedOptions[0].textContent") == "T01"
+        page.click("#next")
+        assert page.evaluate("location.hash") == "#T01/2020-01-01T01:00"
+        assert page.title() != "broken"
+
+    def test_nothing_joins_two_turbines(self, open_page):
+        """The last record of one and the first of the next stand side by side, and hours apart."""
+        page = open_page("fleet")
+        data = json.loads(page.locator("#data").text_content())
+        median, priors = data["series"]["median"][0], data["series"]["priors"][0]
+        runs, last = 0, None
+        for k, value in enumerate(median):
+            known = value is not None
+            runs += known and (last is None or k == 10 or priors[k] != priors[k - 1])
+            last = value
+        line = page.eval_on_selector_all(
+            "svg[data-panel=uu] path.middle", "all => all.map(one => one.getAttribute('d')).join('')"
+        )
+        assert line.count("M") == runs
 
 
 class TestPriors:

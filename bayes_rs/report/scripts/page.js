@@ -59,7 +59,9 @@ const choose = (place, { told = false } = {}) => {
   }
   if (!told) writeAddress(addressOf(chosen));
   const position = records.position[chosen];
-  if (position < span[0] || position >= span[1]) {
+  if ((position < span[0] || position >= span[1]) && records.turbine && !data.timed) {
+    setSpan(...turbineSpan(records.turbine.place[chosen]));
+  } else if (position < span[0] || position >= span[1]) {
     const half = (span[1] - span[0]) / 2;
     setSpan(position + step / 2 - half, position + step / 2 + half);
   }

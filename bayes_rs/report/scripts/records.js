@@ -52,6 +52,8 @@ const roomOf = (place, { mean, sd }) => {
 /** Start of a record, ms since 1970; NaN where it has none. */
 const startOf = (place) => (data.timed ? records.position[place] : records.time ? records.time[place] : NaN);
 const turbineOf = (place) => (records.turbine ? records.turbine.names[records.turbine.place[place]] : "");
+/** Where the records of a turbine stand, which follow each other: that of a record's turbine along the axis of numbers. */
+const turbineSpan = (index) => [records.position[records.turbine.place.indexOf(index)], records.position[records.turbine.place.lastIndexOf(index)] + data.step];
 const nameOf = (place) => {
   const start = startOf(place);
   const name = Number.isFinite(start) ? `${stamp(start)} UTC` : `record ${records.number[place]}`;

@@ -1,12 +1,14 @@
 // Turbulence intensity and stresses over time: blue where the data decided, hatched grey where the prior did.
 
+/** Whether two points of a fleet's axis are of two turbines, whose records do not follow each other in time. */
+const ofTwo = (one, other) => records.turbine !== null && !data.timed && turbineOf(recordAt(one)) !== turbineOf(recordAt(other));
 /** Points in a row, without a gap between them. */
 const runs = (centre, values, gap) => {
   const found = [];
   centre.forEach((at, k) => {
     if (values.some((one) => one[k] === null)) return;
     const last = found[found.length - 1];
-    if (last && last[last.length - 1] === k - 1 && at - centre[k - 1] <= gap) last.push(k); else found.push([k]);
+    if (last && last[last.length - 1] === k - 1 && at - centre[k - 1] <= gap && !ofTwo(centre[k - 1], at)) last.push(k); else found.push([k]);
   });
   return found;
 };

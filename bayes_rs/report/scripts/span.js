@@ -112,6 +112,11 @@ const placeWindow = () => {
   strip.setAttribute("aria-valuenow", String(Math.round(50 * (span[0] + span[1] - 2 * whole[0]) / (whole[1] - whole[0]))));
   strip.setAttribute("aria-valuetext", spanWords());
   document.getElementById("span").textContent = spanWords();
+  const turbine = document.getElementById("turbine");
+  if (turbine) {
+    const shownOnly = records.turbine.names.findIndex((_, index) => String(turbineSpan(index)) === String(span));
+    turbine.value = shownOnly < 0 ? "" : String(shownOnly);
+  }
   const shown = strip.querySelector(".shown");
   if (!shown) return;
   const x = scale(whole, [strip.left, strip.right]);
@@ -132,7 +137,8 @@ const drawStrip = () => {
   let line = "";
   let pen = "M";
   values.forEach((value, k) => {
-    if (value === null) { pen = "M"; return; }
+    if (value === null || (k && ofTwo(...[k - 1, k].map((one) => data.series.start[one] + data.series.width / 2)))) pen = "M";
+    if (value === null) return;
     line += `${pen}${x(data.series.start[k] + data.series.width / 2)} ${y(value)}`;
     pen = "L";
   });
@@ -185,9 +191,7 @@ if (strip) {
   if (turbine) {
     turbine.addEventListener("input", () => {
       if (turbine.value === "") { showAll(); return; }
-      const first = records.turbine.place.indexOf(Number(turbine.value));
-      const last = records.turbine.place.lastIndexOf(Number(turbine.value));
-      setSpan(records.position[first], records.position[last] + 1);
+      setSpan(...turbineSpan(Number(turbine.value)));
     });
   }
 }
