@@ -79,7 +79,8 @@ def match_fits(found: ReportData, other: ReportData, names: tuple[str, str]) -> 
         )
     place = {key: row for row, key in enumerate(_keys(other)) if key is not None}
     pairs = [(row, place[key]) for row, key in enumerate(_keys(found)) if key is not None and key in place]
-    both = [(one, two) for one, two in pairs if found.fitted[one] and other.fitted[two]]
+    fitted, also = found.fitted, other.fitted
+    both = [(one, two) for one, two in pairs if fitted[one] and also[two]]
     if not both:
         raise InputError(
             f"Of the records, {len(pairs)} are in both fits, and none of them was fitted in both: give two fits of the "

@@ -21,7 +21,10 @@ const beside = (holder, full) => {
   const groups = thinnedRuns(rows, 600);
   const gap = 1.5 * step * (groups.length && groups[0].length);
   const centre = groups.map((some) => (records.position[besideRecords.place[some[0]]] + records.position[besideRecords.place[some[some.length - 1]]] + step) / 2);
-  const group = (some, numbers) => ["median", "low", "high"].map((kind) => data.stresses.map((_, c) => medianOf(finite(some.map((k) => numbers(k)[kind][c])))));
+  const group = (some, numbers) => {
+    const all = some.map(numbers);
+    return ["median", "low", "high"].map((kind) => data.stresses.map((_, c) => medianOf(finite(all.map((one) => one[kind][c])))));
+  };
   const ours = groups.map((some) => group(some, (k) => numbersOf(besideRecords.place[k])));
   const theirs = groups.map((some) => group(some, (k) => {
     const [median, low, high] = [0, 6, 12].map((offset) => unpacked(besideRecords.numbers, k, 6, offset));
