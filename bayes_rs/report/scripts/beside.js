@@ -6,36 +6,40 @@ const besideRecords = data.beside ? {
   priors: new Uint8Array(bytes(data.beside.priors)),
   apart: new Uint8Array(bytes(data.beside.apart)),
 } : null;
-/** Medians over so many neighbours that a panel has at most 600 points. */
-const thinnedRuns = (rows, most) => {
-  const size = Math.ceil(rows.length / most) || 1;
-  return Array.from({ length: Math.ceil(rows.length / size) }, (_, k) => rows.slice(k * size, (k + 1) * size));
-};
-const beside = (holder, full) => {
-  const width = panelWidth(holder, full);
-  const rows = [];
-  for (let k = 0; k < besideRecords.place.length; k += 1) {
-    const at = records.position[besideRecords.place[k]];
-    if (at + step > span[0] && at < span[1]) rows.push(k);
-  }
-  const groups = thinnedRuns(rows, 600);
-  const gap = 1.5 * step * (groups.length && groups[0].length);
-  const centre = groups.map((some) => (records.position[besideRecords.place[some[0]]] + records.position[besideRecords.place[some[some.length - 1]]] + step) / 2);
+/** Medians over so many neighbours that a panel has at most 600 points: where they stand, of both fits, and whose they are. */
+const besideGroups = (rows) => {
+  const size = Math.ceil(rows.length / 600) || 1;
+  const groups = Array.from({ length: Math.ceil(rows.length / size) }, (_, k) => rows.slice(k * size, (k + 1) * size));
   const group = (some, numbers) => {
     const all = some.map(numbers);
     return ["median", "low", "high"].map((kind) => data.stresses.map((_, c) => medianOf(finite(all.map((one) => one[kind][c])))));
   };
-  const ours = groups.map((some) => group(some, (k) => numbersOf(besideRecords.place[k])));
-  const theirs = groups.map((some) => group(some, (k) => {
-    const [median, low, high] = [0, 6, 12].map((offset) => unpacked(besideRecords.numbers, k, 6, offset));
-    return { median, low, high };
-  }));
+  const most = (some, priors) => data.stresses.map((_, c) => (2 * some.filter((k) => (priors(k) >> c) & 1).length > some.length ? 1 : 0));
+  return {
+    gap: 1.5 * step * size,
+    centre: groups.map((some) => (records.position[besideRecords.place[some[0]]] + records.position[besideRecords.place[some[some.length - 1]]] + step) / 2),
+    ours: groups.map((some) => group(some, (k) => numbersOf(besideRecords.place[k]))),
+    theirs: groups.map((some) => group(some, (k) => {
+      const [median, low, high] = [0, 6, 12].map((offset) => unpacked(besideRecords.numbers, k, 6, offset));
+      return { median, low, high };
+    })),
+    kinds: [(k) => records.priors[besideRecords.place[k]], (k) => besideRecords.priors[k]].map((priors) => groups.map((some) => most(some, priors))),
+  };
+};
+let besideWhole = null; // of very many records the groups stay those of the whole: they are made once
+const beside = (holder, full) => {
+  const width = panelWidth(holder, full);
+  const every = Array.from(besideRecords.place, (_, k) => k);
+  const rows = every.filter((k) => {
+    const at = records.position[besideRecords.place[k]];
+    return at + step > span[0] && at < span[1];
+  });
+  const many = rows.length > 2400; // four to a point
+  if (many && !besideWhole) besideWhole = besideGroups(every);
+  const { gap, centre, ours, theirs, kinds: of } = many ? besideWhole : besideGroups(rows);
   data.stresses.forEach((name, c) => {
     const [one, other] = [ours, theirs].map((all) => [0, 1, 2].map((kind) => all.map((values) => values[kind][c])));
-    const kinds = [
-      groups.map((some) => (2 * some.filter((k) => isPriors(besideRecords.place[k], c)).length > some.length ? 1 : 0)),
-      groups.map((some) => (2 * some.filter((k) => (besideRecords.priors[k] >> c) & 1).length > some.length ? 1 : 0)),
-    ];
+    const kinds = of.map((all) => all.map((one) => one[c]));
     const { bottom, top } = rangeOf(finite([...one.flat(), ...other.flat()]));
     const margin = 0.06 * (top - bottom || 1);
     const height = Math.max(170, Math.min(230, 0.5 * width));
