@@ -27,6 +27,7 @@ const shape = (holder, width) => {
   mark.setAttribute("data-mark", "shape");
   mark.place = () => {
     const posterior = drawsOf(chosen);
+    cloud.setAttribute("class", kindOf("cloud", [0, 1, 2].some((c) => isPriors(chosen, c))));
     cloud.setAttribute("d", posterior ? dots(posterior[0].map((_, k) => {
       const [a, b] = invariants(posterior.map((column) => column[k]));
       return [x(a), y(b)];
