@@ -29,8 +29,6 @@ PRIOR_MARK: dict[str, Any] = {"color": PRIOR_COLOUR, "markerfacecolor": "white"}
 """How marks are drawn, of what the data decided and of what is mostly the prior's."""
 BEHIND: dict[str, Any] = {"color": PRIOR_COLOUR, "alpha": 0.15, "linewidth": 0}
 """How the prior's band behind a posterior is drawn."""
-PRIORS = "mostly the prior's: the data decided less than half"
-"""What the legend says of what is hatched grey."""
 
 
 class Picture(Figure):
@@ -81,7 +79,7 @@ def hatched(**more: Any) -> dict[str, Any]:
     return {"facecolor": "none", "edgecolor": PRIOR_COLOUR, "hatch": HATCH, "linewidth": 0.0, **more}
 
 
-def prior_patch(label: str = PRIORS) -> Patch:
+def prior_patch(label: str) -> Patch:
     """Return the legend's handle of what is mostly the prior's."""
     return Patch(**hatched(linewidth=0.8), label=label)
 

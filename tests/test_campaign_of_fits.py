@@ -506,7 +506,8 @@ class TestWhatIsSaid:
         page = brs.write_report(found, tmp_path / "a.html").read_text(encoding="utf-8")
         assert '<section id="campaign"' in page
         assert f"Campaign of {N_RECORD - 1} records" in page
-        assert 'src="data:image/png;base64,' in page
+        for kind in ("means", "speed", "hyper"):
+            assert f'data-figure="campaign-{kind}"' in page
         assert brs.write_report(found, tmp_path / "b.html").read_text(encoding="utf-8") == page
 
     def test_without_one_the_report_says_why(self, tmp_path):

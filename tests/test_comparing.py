@@ -21,7 +21,8 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import INTERVALS
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.options import options_of
-from bayes_rs.pictures import POSTERIOR_COLOUR, PRIORS
+from bayes_rs.pictures import POSTERIOR_COLOUR
+from bayes_rs.posteriors.decided import PRIORS
 
 FLOW = load_turbulence("fu-2022")
 CROSS_WIND = ("vv", "ww", "vw")

@@ -18,9 +18,10 @@ from bayes_rs import STRESSES, InputError
 from bayes_rs.fits.shape_points import shape_points
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.intervals import interval_of
-from bayes_rs.pictures import COLOURS, PRIOR_COLOUR, PRIORS, TRUTH_COLOUR, Picture
+from bayes_rs.pictures import COLOURS, PRIOR_COLOUR, TRUTH_COLOUR, Picture
 from bayes_rs.plot.density import LEVELS, smooth, smooth_pair
 from bayes_rs.plot.style import prior_band
+from bayes_rs.posteriors.decided import PRIORS
 from bayes_rs.posteriors.prior_at_size import prior_interval_at_size
 from bayes_rs.report.figures import shape_data
 from bayes_rs.report.report_data import report_data

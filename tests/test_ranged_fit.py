@@ -1,6 +1,8 @@
 """A fit at several ranges: range by range what each is alone, in memory and in a folder."""
 
+import base64
 import json
+import re
 import shutil
 
 import numpy as np
@@ -17,7 +19,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.range_job import seed_of_range
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.ranged_scan import RangedScan
-from bayes_rs.pictures import PRIORS
+from bayes_rs.posteriors.decided import PRIORS
 from bayes_rs.records import at_range
 from bayes_rs.report.writing import write_report
 from bayes_rs.result_folder import seal_folder
@@ -281,7 +283,23 @@ class TestPictures:
         for name in ("range-52m/report.html", "range-98m/report.html"):
             assert f'href="{name}"' in text
             assert (place / name).is_file()
-        assert "data:image/svg+xml;base64," in text
+        data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text).group(1))[
+            "profile"
+        ]
+        assert data["place"] == [52.0, 98.0]
+        own, of_all = open_fit(place), data["all"][1]
+        rows = own.profile()
+        np.testing.assert_allclose(of_all["estimate"], rows[rows["quantity"] == "uu"]["estimate"], rtol=1e-3)
+        packed = data["records"]
+        steps = np.frombuffer(base64.b64decode(packed["rows"]["values"]), dtype="<i2").astype(float)
+        unit = np.frombuffer(base64.b64decode(packed["rows"]["unit"]), dtype="<f4").astype(float)
+        values = steps.reshape(len(unit), 7, 2, 3) * unit[:, None, None, None]
+        number = next(iter(own.fits.values())).find_record(0)
+        one = own.profile(record=number).set_index(["quantity", "range"])
+        for place_of, distance in enumerate((52.0, 98.0)):
+            for quantity, name in enumerate(("ti", "uu", "vv")):
+                expected = one.loc[(name, distance), ["estimate", "low", "high"]].to_numpy(dtype=float)
+                np.testing.assert_allclose(values[0, quantity, place_of], expected, atol=2e-5 * values[0].max())
         assert text == write_report(place, overwrite=True).read_text(encoding="utf-8")
         alone = write_report(place, tmp_path / "alone.html").read_text(encoding="utf-8")
         assert 'href="range-52m' not in alone

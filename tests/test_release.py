@@ -96,7 +96,7 @@ class TestContent:
     def test_models_are_shipped(self, kind, pattern, least):
         assert len(list(models_folder(kind).glob(pattern))) >= least
 
-    @pytest.mark.parametrize("name", ["template.html", "style.css", "script.js"])
+    @pytest.mark.parametrize("name", ["template.html", "style.css", "scripts/page.js"])
     def test_the_parts_of_the_report_are_shipped(self, name):
         assert (PACKAGE / "report" / name).is_file()
 

@@ -17,9 +17,13 @@ from report_scene import EVIL, demo_records, evil_folder, result_folder, table_f
 
 from bayes_rs import STRESSES, InputError, fit, open_fit, write_report
 from bayes_rs.cli.report_command import report
+from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
-from bayes_rs.report import figures, page
+from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
+from bayes_rs.report import figures, template
 from bayes_rs.report.availability import make_availability
+from bayes_rs.report.beside import beside_data, beside_section, match_fits
 from bayes_rs.report.packing import MISSING, pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.report_data import NUMBERS, report_data
 from bayes_rs.report.series import MOST_BINS, make_series
@@ -144,7 +148,7 @@ class TestNumbers:
         half = report_of(full, prob=0.5)
         expected = open_fit(full).summary(prob=0.5)
         np.testing.assert_array_equal(half.numbers["low"].ravel(), expected["low"])
-        assert "Intervals hold 50 % probability" in page_of(full, prob=0.5)
+        assert "50 % interval, equal-tailed" in page_of(full, prob=0.5)
 
     def test_tables_give_the_numbers_of_their_summary(self, tables):
         found, expected = report_of(tables), open_fit(tables).summary()
@@ -204,11 +208,17 @@ class TestNumbers:
         assert data["count"] == [15]
         assert data["points"]["median"][0] == pytest.approx(found.derived["ti"]["median"][0], rel=1e-3)
 
-    def test_the_shape_coordinates_are_those_of_the_table(self, full, full_page):
-        found, data = report_of(full), data_of(full_page)
-        xi, eta = found.shape.middle[found.fitted].T
-        np.testing.assert_allclose(data["shape"]["xi"], xi, rtol=1e-3)
-        np.testing.assert_allclose(data["shape"]["eta"], eta, rtol=1e-3)
+    def test_the_points_of_the_shape_are_those_of_the_summary(self, full, full_page, tables):
+        data = data_of(full_page)
+        table = open_fit(full).summary(derived=("lumley_xi", "lumley_eta")).dropna(subset="median")
+        for name in ("xi", "eta"):
+            expected = table.loc[table["stress"] == f"lumley_{name}", "median"]
+            np.testing.assert_allclose(data["shape"][name], expected, rtol=1e-3)
+        found = report_of(tables)  # no draws: of the posterior means
+        shown = figures.shape_data(found)
+        np.testing.assert_allclose(
+            [shown["xi"], shown["eta"]], lumley_coordinates(found.numbers["mean"][found.fitted]), rtol=1e-3
+        )
         assert data["shape"]["record"] == [0, 1, 3, 4, 5]
 
 
@@ -288,13 +298,13 @@ class TestSections:
         text = full_page
         for heading in (
             "What was read",
-            "Stresses over time",
+            "Over time",
             "One record",
             "What the data said",
             "Turbulence intensity",
             "Shape of the tensor",
-            "Diagnostics",
-            "Provenance",
+            "Flags and diagnostics",
+            "How it was made",
         ):
             assert f">{heading}</h2>" in text
 
@@ -349,7 +359,7 @@ class TestSections:
         none = page_of(result_folder(tmp_path / "none", flagged=True))
         assert "No record was fitted" in none
         assert ">One record</h2>" not in none
-        assert ">Diagnostics</h2>" in none
+        assert ">Flags and diagnostics</h2>" in none
 
     def test_records_outside_the_noise_are_counted(self, tmp_path):
         """Noise of 16 m/s for records of 4 m/s: the page says so of every record."""
@@ -390,8 +400,8 @@ class TestPage:
         script = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
         assert len(script) == 1
         assert policy.startswith("default-src 'none';")
-        assert f"script-src '{page.content_hash(script[0])}';" in policy
-        assert f"style-src '{page.content_hash(style)}';" in policy
+        assert f"script-src '{template.content_hash(script[0])}';" in policy
+        assert f"style-src '{template.content_hash(style)}';" in policy
         assert "unsafe" not in policy
 
     def test_texts_of_files_stay_texts(self, full, tmp_path):
@@ -403,16 +413,16 @@ class TestPage:
         assert text.count('id="data"') == 1
 
     def test_what_is_put_in_the_template_is_not_looked_at_again(self):
-        assert page.fill("{{a}} {{b}}", {"a": "{{b}}", "b": "<"}) == "{{b}} <"
+        assert template.fill("{{a}} {{b}}", {"a": "{{b}}", "b": "<"}) == "{{b}} <"
 
     def test_data_cannot_end_their_element(self):
-        text = page.as_script_data({"a": "</script><!--&"})
+        text = template.as_script_data({"a": "</script><!--&"})
         assert "<" not in text
         assert json.loads(text) == {"a": "</script><!--&"}
 
-    def test_an_hour_is_below_one_megabyte_and_a_year_below_seven(self, full_page, year):
+    def test_an_hour_is_below_one_megabyte_and_a_year_below_seven_and_a_half(self, full_page, year):
         assert len(full_page) < 1e6
-        assert len(page_of(year)) < 7e6
+        assert len(page_of(year)) < 7.5e6
 
     def test_draws_of_any_number_of_records_stay_within_their_share(self, full):
         found = report_of(full)
@@ -445,7 +455,7 @@ class TestWriting:
         found = fit(make_records(2), SCAN, **OPTIONS)
         with pytest.raises(InputError, match="A fit in memory has no folder for its report: name a file to write"):
             write_report(found)
-        assert "Stresses over time" in write_report(found, tmp_path / "a.html").read_text(encoding="utf-8")
+        assert "Over time" in write_report(found, tmp_path / "a.html").read_text(encoding="utf-8")
 
     def test_the_page_of_a_fit_in_memory_is_that_of_its_folder(self, tmp_path):
         pages = []
@@ -498,6 +508,89 @@ class TestWriting:
         words = rf"File '.*{file.name}' was changed since it was written: resume the fit to make it again"
         with pytest.raises(InputError, match=words):
             write_report(tmp_path / "out")
+
+
+class TestBeside:
+    def shifted(self, found, factor):
+        """The same records with all numbers multiplied, in the reverse order, one of them lost."""
+        rows = np.arange(len(found.record))[::-1][1:]
+        numbers = {name: values[rows] * (factor if name in ("median", "low", "high") else 1.0) for name, values in
+                   found.numbers.items()}  # fmt: skip
+        return dataclasses.replace(
+            found, record=np.arange(len(rows)), time=found.time[rows], flag=found.flag[rows], numbers=numbers
+        )
+
+    def test_records_are_matched_by_their_starts(self, tables):
+        found = report_of(tables)
+        beside = match_fits(found, self.shifted(found, 1.0), ("a", "b"))
+        assert beside.n_start == len(found.record) - 1
+        assert len(beside.rows) == int(found.fitted[:-1].sum())
+        np.testing.assert_array_equal(found.time[beside.rows], beside.other.time[beside.other_rows])
+        one, other = beside.numbers
+        np.testing.assert_array_equal(one["median"], other["median"])
+        assert not beside.apart.any()
+
+    def test_intervals_that_do_not_overlap_are_counted_and_named(self, tables):
+        found = report_of(tables)
+        beside = match_fits(found, self.shifted(found, 50.0), ("a", "<b>"))
+        low, high = (found.numbers[name][beside.rows] for name in ("low", "high"))
+        np.testing.assert_array_equal(beside.apart, (50.0 * low > high) | (50.0 * high < low))
+        assert beside.apart[:, 0].any()
+        text = beside_section(beside)
+        start = np.datetime_as_string(found.time[beside.rows[0]], unit="m").replace("T", " ")
+        assert f"{start} (" in text
+        assert "<b>" not in text
+        data = beside_data(beside, np.arange(len(found.record)))
+        apart = np.frombuffer(base64.b64decode(data["apart"]), dtype="<u1")
+        np.testing.assert_array_equal((apart[:, None] >> np.arange(6)) & 1, beside.apart)
+
+    def test_fits_that_share_nothing_are_refused(self, tables):
+        found = report_of(tables)
+        later = dataclasses.replace(found, time=found.time + np.timedelta64(3650, "D"))
+        with pytest.raises(InputError, match="0 are in both fits, and none of them was fitted in both"):
+            match_fits(found, later, ("a", "b"))
+        with pytest.raises(InputError, match=r"The intervals of the two fits differ: 90 % interval, .*50 %"):
+            match_fits(found, dataclasses.replace(found, prob=0.5), ("a", "b"))
+
+
+class TestPriorsPart:
+    def test_the_bits_of_a_record_are_those_of_the_rule(self, full, full_page):
+        found, data = report_of(full), data_of(full_page)
+        bits = np.frombuffer(base64.b64decode(data["records"]["priors"]), dtype="<u1")
+        expected = is_priors(found.numbers["decided"])
+        np.testing.assert_array_equal((bits[:, None] >> np.arange(6)) & 1, expected)
+        assert {True, False} <= set(expected[found.fitted].ravel().tolist())
+        np.testing.assert_array_equal(np.array(data["series"]["priors"]).T, expected)
+
+    def test_a_bin_is_the_priors_if_most_of_its_fitted_records_are(self, year):
+        found = report_of(year)
+        series = make_series(found)
+        whole = np.arange(36 * 7, 36 * 8)
+        rows = whole[found.fitted[whole]]
+        share = is_priors(found.numbers["decided"][rows]).mean(axis=0)
+        np.testing.assert_array_equal(series.priors[7], share > 0.5)
+
+    def test_the_page_interpolates_the_priors_interval_at_a_size(self, full, full_page):
+        """The script's nodes against the interval at each record's own size; 3 % is the Monte-Carlo error of an end."""
+        found, nodes = report_of(full), data_of(full_page)["room"]
+        rows = np.flatnonzero(found.fitted)
+        mean, sd = sizes_of(found.numbers["mean"][rows], found.covariance(rows))
+        ends = prior_interval_at_size(found.prior_shape, mean, sd, found.prob, found.interval)
+        for name, end in zip(("low", "high"), ends, strict=True):
+            for c in range(len(STRESSES)):
+                at = mean * np.interp(sd / mean, nodes["spread"], nodes[name][c])
+                width = ends[1][:, c] - ends[0][:, c]
+                assert np.all(np.abs(at - end[:, c]) <= 0.03 * width)
+
+    def test_stars_mark_what_is_the_priors(self, full_page):
+        table = full_page.split("Posterior medians, each with its 90 % interval, equal-tailed")[2]
+        row = table.split("<tbody>")[1].split("</tr>")[0]
+        cells = re.findall(r'<td class="n">(.*?)</td>', row)
+        assert ["*" in cell for cell in cells] == [False, False, True, True, True, False, True, False]
+
+    def test_flags_that_do_not_occur_are_not_listed(self, full_page):
+        assert "beam_left_out" in full_page.split('id="diagnostics"')[1].split("</table>")[0]
+        assert "weights_uneven" not in full_page.split('id="diagnostics"')[1].split("</table>")[0]
 
 
 class TestPieces:

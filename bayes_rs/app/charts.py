@@ -12,7 +12,8 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.app.choosing import PROB, Answer, prior_widths_at
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import EQUAL_TAILED, interval_words
-from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, PRIORS, TRUTH_COLOUR
+from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
+from bayes_rs.posteriors.decided import PRIORS
 from bayes_rs.report.availability import Availability
 
 Chart = dict[str, Any]

@@ -13,7 +13,7 @@ from bayes_rs.app.charts import Chart, Palette, clear, layout_of, legend_below
 from bayes_rs.app.choosing import prior_at_size
 from bayes_rs.app.contours import density, outlines
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.pictures import PRIORS
+from bayes_rs.posteriors.decided import PRIORS
 
 _GAP = 0.06  # between panels, of a panel
 _DASH = "4px,3px"

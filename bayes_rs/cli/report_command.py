@@ -22,6 +22,14 @@ from bayes_rs.cli.voice import answer, tell
     type=Quantity("prob"),
     help="Probability of the credible intervals; by default that of the fit. Needs the draws.",
 )
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path),
+    help="CSV file with a mast's turbulence intensity, to compare with: time (start), and ti or sigma_u and U.",
+)
+@click.option(
+    "--beside", type=click.Path(path_type=Path), help="Folder of another fit of the same records, to compare with."
+)
 @click.option("--overwrite", is_flag=True, help="Replace an existing report.")
 @range_options
 def report(
@@ -29,6 +37,8 @@ def report(
     output: Path | None,
     title: str | None,
     prob: float | None,
+    reference: Path | None,
+    beside: Path | None,
     overwrite: bool,
     distance: float | None,
     height: float | None,
@@ -40,6 +50,7 @@ def report(
     from bayes_rs.report.writing import write_report
 
     found = fit_at_range(folder, distance, height)
-    page = str(write_report(found, output, title=title, prob=prob, overwrite=overwrite))
-    tell(page, wrap=False)
-    answer({"file": page})
+    other = None if beside is None else fit_at_range(beside, distance, height)
+    page = write_report(found, output, title=title, prob=prob, reference=reference, beside=other, overwrite=overwrite)
+    tell(str(page), wrap=False)
+    answer({"file": str(page)})

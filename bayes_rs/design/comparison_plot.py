@@ -27,7 +27,7 @@ from bayes_rs.pictures import (
     new_or_given,
     prior_patch,
 )
-from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.decided import PRIORS, is_priors
 
 _NORMAL_90 = 3.2897
 """Width of the central 90 % interval of a normal distribution, in standard deviations."""
@@ -173,7 +173,7 @@ def _legend(figure: FigureBase, panels: Sequence[Axes], posterior: pd.DataFrame,
     if not entries:  # the prior decided all
         first = posterior.iloc[0]
         entries[f"{first['turbulence']}, {first['prior']}, {first['data']}"] = Patch(color=POSTERIOR_COLOUR)
-    more: list[Artist] = [prior_patch()] if is_priors(posterior["decided"]).any() else []
+    more: list[Artist] = [prior_patch(PRIORS)] if is_priors(posterior["decided"]).any() else []
     more.append(Line2D([], [], color=PRIOR_COLOUR, linestyle=":", linewidth=2, label="prior at the size uu + vv + ww"))
     entries |= {str(handle.get_label()): handle for handle in more}
     legend = figure.legend(

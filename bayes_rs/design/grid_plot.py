@@ -14,8 +14,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.design.scan_grid import DESIGN
-from bayes_rs.pictures import COLOURS, HATCH, PRIOR_COLOUR, PRIOR_MARK, PRIORS, new_or_given, prior_patch
-from bayes_rs.posteriors.decided import PRIOR_BELOW, is_priors
+from bayes_rs.pictures import COLOURS, HATCH, PRIOR_COLOUR, PRIOR_MARK, new_or_given, prior_patch
+from bayes_rs.posteriors.decided import PRIOR_BELOW, PRIORS, is_priors
 
 WIDTH = "90 % width / uu"
 _LABELS = {
@@ -133,7 +133,7 @@ def _legend(figure: FigureBase, panel: Axes, rows: pd.DataFrame, *, of_lines: bo
     handles, _ = panel.get_legend_handles_labels() if of_lines else ([], [])
     if is_priors(rows["decided"]).any():
         mark = Line2D([], [], color=PRIOR_COLOUR, marker="o", mfc="white", linestyle="", label=PRIORS)
-        handles.append(mark if of_lines else prior_patch())
+        handles.append(mark if of_lines else prior_patch(PRIORS))
     if of_lines:
         label = "prior at the size uu + vv + ww"
         handles.append(Line2D([], [], color=PRIOR_COLOUR, linestyle=":", linewidth=1.5, label=label))

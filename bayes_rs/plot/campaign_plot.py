@@ -18,9 +18,9 @@ from bayes_rs.fits.campaign_words import ALL, share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, PRIORS, Picture, new_or_given
+from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, Picture, new_or_given
 from bayes_rs.plot.style import prior_band
-from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.decided import PRIORS, is_priors
 
 _SPEED = re.compile(r"([0-9.]+)-([0-9.]+) m/s")
 """A bin of wind speed in the table of a campaign."""

@@ -18,9 +18,9 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.pictures import BEHIND, DATA_MARK, PRIOR_MARK, PRIORS, Picture, new_or_given
+from bayes_rs.pictures import BEHIND, DATA_MARK, PRIOR_MARK, Picture, new_or_given
 from bayes_rs.plot.style import prior_band, prior_words
-from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.decided import PRIORS, is_priors
 
 _Given = TypeVar("_Given", bound=FigureBase)
 

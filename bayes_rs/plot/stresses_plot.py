@@ -34,7 +34,7 @@ from bayes_rs.pictures import (
     with_middles,
 )
 from bayes_rs.plot.style import known_stresses, prior_band, prior_words
-from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.posteriors.decided import PRIORS, is_priors
 
 MOST_POINTS = 3000
 """Records of which each is drawn; of more, medians over so many in a row that there are at most that many points."""
@@ -221,7 +221,7 @@ def _handles(decided: FloatArray, names: list[str], behind: str) -> list[Artist]
             for alpha, name in zip((0.6, 0.25)[-len(names) :], names, strict=True)
         ]
     if priors.any():
-        found.append(prior_patch())
+        found.append(prior_patch(PRIORS))
     return [*found, Patch(**BEHIND, label=behind)]
 
 

@@ -20,6 +20,8 @@ _LOGARITHM, _ADDED = np.array([(0, 0, 0), (0, 1, 2)]), np.array([False, True, Tr
 """ln uu, ln vv and ln ww are the first of x, to which for the last two another is added."""
 PRIOR_BELOW = 0.5
 """Share below which the prior decided more of a number than the data did."""
+PRIORS = "mostly the prior's: the data decided less than half"
+"""What a legend says of such numbers."""
 _BATCH = 32
 """Records whose draws are looked at together."""
 

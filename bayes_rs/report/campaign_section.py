@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, campaign_words, share_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.posteriors.decided import is_priors
-from bayes_rs.report.tables import folded, interval, lines, number, table
+from bayes_rs.intervals import interval_words
+from bayes_rs.posteriors.decided import PRIORS, is_priors
+from bayes_rs.report.packing import plain
+from bayes_rs.report.tables import STAR, figure, folded, interval, key, lines, number, table
+
+_HYPER_PROB = 0.9
+"""Probability of the intervals of hyperparameters."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,6 @@ class CampaignShown:
         Average of the records' posterior means under the given prior, m² s⁻².
     prior_name : str
         Name of the given prior.
-    picture : bytes
-        The picture of `bayes_rs.plot.campaign`, as PNG.
     """
 
     about: dict[str, Any]
@@ -41,7 +43,6 @@ class CampaignShown:
     hyper: pd.DataFrame
     record_mean: FloatArray
     prior_name: str
-    picture: bytes
 
 
 def campaign_shown(fit: Fit) -> CampaignShown | str:
@@ -50,22 +51,58 @@ def campaign_shown(fit: Fit) -> CampaignShown | str:
     if not fit.has_campaign:
         return str(about["why"])
 
-    # matplotlib is loaded where there is something to draw
-    from bayes_rs.plot.campaign_plot import campaign as draw_campaign  # noqa: PLC0415 - as above
-    from bayes_rs.plot.campaign_plot import record_means  # noqa: PLC0415 - as above
+    from bayes_rs.plot.campaign_plot import record_means  # noqa: PLC0415 - matplotlib comes with it
 
-    sink = io.BytesIO()
-    draw_campaign(fit).savefig(sink, format="png", dpi=100, metadata={"Software": None})
-    return CampaignShown(
-        about, fit.campaign(), fit.campaign_hyper(), record_means(fit), str(fit.run["prior_name"]), sink.getvalue()
-    )
+    return CampaignShown(about, fit.campaign(), fit.campaign_hyper(), record_means(fit), str(fit.run["prior_name"]))
 
 
-def campaign_section(shown: CampaignShown | str) -> str:
-    """Return the content of the section; empty if the campaign was switched off."""
+def campaign_data(shown: CampaignShown) -> dict[str, Any]:
+    """Return what the script draws of a campaign."""
+    from bayes_rs.plot.campaign_plot import speed_bins  # noqa: PLC0415 - matplotlib comes with it
+
+    means = shown.table[shown.table["bin"] == ALL].set_index("quantity").loc[list(STRESSES)]
+    hyper = shown.hyper
+    low, high = (hyper[f"prior_{end}"].to_numpy(dtype=np.float64) for end in ("low", "high"))
+    half = np.where(high > low, 0.5 * (high - low), 1.0)
+    centre = 0.5 * (low + high)
+    in_units = {end: plain((hyper[end].to_numpy(dtype=np.float64) - centre) / half) for end in ("low", "mean", "high")}
+    return {
+        "means": {**_ends(means), "average": plain(shown.record_mean), "prior_name": shown.prior_name},
+        **{
+            name: {"speed": plain(rows["speed"].to_numpy()), **_ends(rows)}
+            for name in ("ti", "ti_p90")
+            for rows in [speed_bins(shown.table, name)]
+        },
+        "hyper": {
+            "name": hyper["name"].astype(str).tolist(),
+            **in_units,
+            "priors": is_priors(hyper["decided"]).astype(np.int64).tolist(),
+            "words": [
+                f"{interval(one['mean'], one['low'], one['high'])}, {share_words(one['decided'])}"
+                for one in hyper.to_dict("records")
+            ],
+        },
+    }
+
+
+def _ends(rows: pd.DataFrame) -> dict[str, Any]:
+    numbers = {name: plain(rows[name].to_numpy(dtype=np.float64)) for name in ("mean", "low", "high")}
+    return {**numbers, "priors": is_priors(rows["decided"]).astype(np.int64).tolist()}
+
+
+def campaign_section(shown: CampaignShown | str, reference: str = "") -> str:
+    """Return the content of the section; empty if the campaign was switched off.
+
+    Parameters
+    ----------
+    shown : CampaignShown or str
+        From `campaign_shown`.
+    reference : str
+        What the reference is called that stands beside; empty if there is none.
+    """
     if isinstance(shown, str):
         return f'<p class="note">There is no campaign: {escape(shown)}.</p>' if shown else ""
-    return _words(shown) + _picture(shown) + _tables(shown)
+    return _words(shown) + _pictures(shown, reference)
 
 
 def _words(shown: CampaignShown) -> str:
@@ -92,44 +129,59 @@ def _words(shown: CampaignShown) -> str:
     return f"<p>{escape(lead)}</p>" + lines(f"{text[:1].upper()}{text[1:]}" for text in said)
 
 
-def _picture(shown: CampaignShown) -> str:
-    data = base64.b64encode(shown.picture).decode("ascii")
-    words = (
-        "Means of the stresses over the campaign beside the averages of the records' posterior means; turbulence "
-        "intensity by wind speed; hyperparameters in units of their prior's intervals."
+def _pictures(shown: CampaignShown, reference: str) -> str:
+    prior = key("point priors", f"hollow grey: {PRIORS}")
+    called = _called(shown)
+    means = (
+        key("point", f"mean of the campaign, {called}")
+        + prior
+        + key("average", f"average of the records' own means, prior {shown.prior_name}")
+    )
+    intensity = (
+        key("point", f"mean over the records, {called}")
+        + key("point high", "their 90 % quantile")
+        + prior
+        + (key("reference", f"{reference}, mean of a bin") if reference else "")
+    )
+    hyper = (
+        key("size", f"posterior, {_hyper_called(shown)}")
+        + key("size priors", PRIORS)
+        + key("room", "interval of the prior")
+        + "Beside each: its mean and interval, and the share that the data decided."
     )
     return (
-        f'<figure><img class="picture" src="data:image/png;base64,{data}" alt="{escape(words, quote=True)}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
+        figure("campaign-means", means, folded("Table: the campaign as a whole", _whole_table(shown)))
+        + figure("campaign-speed", intensity, folded("Table: the campaign by wind speed and class", _bin_table(shown)))
+        + figure("campaign-hyper", hyper, folded("Table: hyperparameters", _hyper_table(shown)))
     )
 
 
-def _tables(shown: CampaignShown) -> str:
-    percent = f"{100.0 * float(shown.table['prob'].iloc[0]):g} %"
-    return (
-        folded("Table: the campaign as a whole", _whole_table(shown, percent))
-        + folded("Table: the campaign by wind speed and class", _bin_table(shown, percent))
-        + folded("Table: hyperparameters", _hyper_table(shown))
-    )
+def _called(shown: CampaignShown) -> str:
+    """Return the name of the intervals of the campaign's table."""
+    return interval_words(float(shown.table["prob"].iloc[0]), str(shown.table["interval"].iloc[0]))
 
 
-def _whole_table(shown: CampaignShown, percent: str) -> str:
-    header = ("quantity", f"mean ({percent} interval)", "decided by the data", f"records' average, {shown.prior_name}")
+def _hyper_called(shown: CampaignShown) -> str:
+    return interval_words(_HYPER_PROB, str(shown.hyper["interval"].iloc[0]))
+
+
+def _whole_table(shown: CampaignShown) -> str:
+    header = ("quantity", f"mean ({_called(shown)})", "decided by the data", f"records' average, {shown.prior_name}")
     average = dict(zip(STRESSES, shown.record_mean.tolist(), strict=True))
     rows = [
         (one["quantity"], _interval(one), share_words(one["decided"]), number(average.get(str(one["quantity"]))))
         for one in shown.table[shown.table["bin"] == ALL].to_dict("records")
     ]
-    return table("Means over the records, m² s⁻², and what follows from them", header, rows)
+    return table(f"Means over the records, m² s⁻², and what follows from them; {STAR}", header, rows)
 
 
-def _bin_table(shown: CampaignShown, percent: str) -> str:
-    header = ("bin", "quantity", f"mean ({percent} interval)", "decided by the data", "records")
+def _bin_table(shown: CampaignShown) -> str:
+    header = ("bin", "quantity", f"mean ({_called(shown)})", "decided by the data", "records")
     rows = [
         (one["bin"], one["quantity"], _interval(one), share_words(one["decided"]), str(one["n_record"]))
         for one in shown.table[shown.table["bin"] != ALL].to_dict("records")
     ]
-    return table("The campaign in bins", header, rows, n_text=2)
+    return table(f"The campaign in bins; {STAR}", header, rows, n_text=2)
 
 
 def _hyper_table(shown: CampaignShown) -> str:
@@ -149,4 +201,4 @@ def _hyper_table(shown: CampaignShown) -> str:
 
 
 def _interval(row: dict[Any, Any]) -> str:
-    return interval(row["mean"], row["low"], row["high"])
+    return interval(row["mean"], row["low"], row["high"], priors=bool(is_priors(row["decided"])))

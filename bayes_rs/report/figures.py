@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.summarizing import OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.decided import PRIOR_BELOW, is_priors
+from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
 from bayes_rs.posteriors.sampling.chains import PARETO_K_LIMIT, R_HAT_LIMIT
+from bayes_rs.records.layout import TURBINE
 from bayes_rs.report.availability import Availability
 from bayes_rs.report.packing import pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.report_data import ReportData
@@ -25,11 +29,15 @@ MOST_PICKED = 60_000
 """Records up to which each can be picked: more than a year of ten minutes."""
 MOST_BESIDE = 10_000
 """Records up to which each one's table says what the data decided, and least squares: 2 MB of the page of a year."""
+_NODES = 12
+"""Relative uncertainties of a size at which the page has the prior's interval."""
 _PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i + 1, len(STRESSES))]
 
 
 def series_data(series: Series) -> dict[str, Any]:
-    """Return the points of the six panels."""
+    """Return the points of the panels along time."""
+    kinds = ("median", "low", "high", *(("spread_low", "spread_high") if series.binned else ()))
+    known = series.intensity
     return {
         "start": [round(value, 3) for value in series.start.tolist()],
         "width": series.width,
@@ -37,11 +45,20 @@ def series_data(series: Series) -> dict[str, Any]:
         "count": series.count.tolist(),
         "failed": series.n_failed.tolist(),
         "remarked": series.n_remarked.tolist(),
-        **{
-            name: plain(getattr(series, name).T)
-            for name in ("median", "low", "high", *(("spread_low", "spread_high") if series.binned else ()))
-        },
+        "priors": series.priors.astype(np.int64).T.tolist(),
+        "room": plain(np.moveaxis(series.room, 1, 2), 3),
+        **{name: plain(getattr(series, name).T) for name in kinds},
+        **({"ti": {name: plain(known[name]) for name in kinds}} if known else {}),
     }
+
+
+def over_bins(found: ReportData, series: Series, values: FloatArray) -> list[Any]:
+    """Return numbers of the records (n_record,) at the points of a series: medians of a bin's."""
+    if not series.binned:
+        return plain(values)  # a point is a record
+    place = np.searchsorted(series.start, time_axis(found)[0], side="right") - 1
+    parts = [values[(place == point) & np.isfinite(values)] for point in range(len(series.start))]
+    return plain(np.array([np.median(some) if len(some) else np.nan for some in parts]))
 
 
 def availability_data(availability: Availability, found: ReportData) -> dict[str, Any]:
@@ -63,13 +80,21 @@ def picked(found: ReportData) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     return np.unique(np.linspace(0, n - 1, min(n, MOST_PICKED)).round().astype(np.int64))
 
 
-def records_data(found: ReportData) -> dict[str, Any]:
-    """Return the numbers of each record, and draws of its posterior as far as the page can hold them."""
-    rows = picked(found)
-    position, _, _ = time_axis(found)
+def records_data(found: ReportData, rows: NDArray[np.int64], covariance: FloatArray) -> dict[str, Any]:
+    """Return the numbers of some records, and draws of their posteriors as far as the page can hold them.
+
+    Parameters
+    ----------
+    found : ReportData
+        What the report shows.
+    rows : ndarray of int, shape (n,)
+        The records, from `picked`.
+    covariance : ndarray, shape (n, 6, 6)
+        Their posterior covariances, m⁴ s⁻⁴.
+    """
+    position, _, timed = time_axis(found)
     columns = ("median", "low", "high", "mean", "sd")
     numbers = np.stack([found.numbers[name][rows] for name in columns], axis=1)
-    covariance = found.covariance(rows)
     sd = np.sqrt(np.einsum("rii->ri", covariance))
     with np.errstate(invalid="ignore", divide="ignore"):  # records that were not fitted, or draws that are all equal
         correlation = np.stack([covariance[:, i, j] / (sd[:, i] * sd[:, j]) for i, j in _PAIRS], axis=1)
@@ -80,8 +105,14 @@ def records_data(found: ReportData) -> dict[str, Any]:
         "speed": pack(found.wind_speed[rows], "f4"),
         "numbers": pack_rows(numbers),
         "correlation": _hundredths(correlation),
+        "priors": pack(bits(is_priors(found.numbers["decided"][rows])), "u1"),
         "first": int(np.argmax(found.fitted[rows])),
     }
+    if not timed and not np.isnat(found.time[rows]).all():
+        data["time"] = pack_steps(in_ms(found.time[rows]))
+    if TURBINE in found.records:
+        names, place = np.unique(found.records[TURBINE].values[rows].astype(str), return_inverse=True)
+        data["turbine"] = {"names": names.tolist(), "place": pack(place, "u2")}
     if len(rows) <= MOST_BESIDE:
         data["decided"] = _hundredths(found.numbers["decided"][rows])
         data["beside"] = pack_rows(np.stack([found.numbers[name][rows] for name in OF_RECORD[1:]], axis=1))
@@ -92,6 +123,45 @@ def records_data(found: ReportData) -> dict[str, Any]:
     if found.fitted.any():
         data["prior"] = {"n": len(found.prior_shape), **pack_rows(found.prior_shape)}
     return data
+
+
+def in_ms(time: NDArray[np.datetime64]) -> FloatArray:
+    """Return times as ms since 1970, NaN where there is none."""
+    return np.where(np.isnat(time), np.nan, time.astype("datetime64[ns]").astype(np.int64) / 1e6)
+
+
+def bits(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the columns of (n, n_column) as bits of one number a row, the first the lowest."""
+    return np.asarray(flags.astype(np.int64) @ (1 << np.arange(flags.shape[1])))
+
+
+def room_data(found: ReportData, spread: float) -> dict[str, Any]:
+    """Return the ends of the prior's interval at size 1, for relative uncertainties of the size up to the greatest."""
+    nodes = np.linspace(0.0, max(spread, 1e-3), _NODES)
+    low, high = prior_interval_at_size(found.prior_shape, np.ones(_NODES), nodes, found.prob, found.interval)
+    return {"spread": plain(nodes), "low": plain(low.T), "high": plain(high.T)}
+
+
+def prior_room(found: ReportData, rows: NDArray[np.int64], covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Return the ends of the prior's interval at the size of each record, and the greatest relative spread of a size.
+
+    Parameters
+    ----------
+    found, rows, covariance
+        As for `records_data`.
+
+    Returns
+    -------
+    room : ndarray, shape (2, n_record, 6)
+        m² s⁻²; NaN for records that are not among the rows or were not fitted.
+    spread : float
+        Standard deviation over mean of uu + vv + ww, the largest of all records.
+    """
+    mean, sd = sizes_of(found.numbers["mean"][rows], covariance)
+    room = np.full((2, len(found.record), len(STRESSES)), np.nan)
+    room[0, rows], room[1, rows] = prior_interval_at_size(found.prior_shape, mean, sd, found.prob, found.interval)
+    known = np.isfinite(mean)
+    return room, float(np.max(sd[known] / mean[known])) if known.any() else 0.0
 
 
 def intensity_data(found: ReportData) -> dict[str, Any] | None:
@@ -108,6 +178,7 @@ def intensity_data(found: ReportData) -> dict[str, Any] | None:
     data: dict[str, Any] = {
         "bin": bins.tolist(),
         "count": [len(some) for some in in_bins],
+        "priors": [int(is_priors(np.median(found.numbers["decided"][some, 0]))) for some in in_bins],
         **{name: [_short(np.median(ti[name][some])) for some in in_bins] for name in ("median", "low", "high")},
         "spread_low": [_short(np.quantile(ti["median"][some], 0.05)) for some in in_bins],
         "spread_high": [_short(np.quantile(ti["median"][some], 0.95)) for some in in_bins],
@@ -117,6 +188,7 @@ def intensity_data(found: ReportData) -> dict[str, Any] | None:
             "record": rows.tolist(),
             "speed": plain(speed[rows]),
             **{name: plain(ti[name][rows]) for name in ("median", "low", "high")},
+            "priors": is_priors(found.numbers["decided"][rows, 0]).astype(np.int64).tolist(),
             "flagged": (found.flag[rows] != 0).astype(np.int64).tolist(),
         }
     return data
@@ -127,9 +199,13 @@ def decided_quantiles(found: ReportData) -> FloatArray:
     return np.asarray(np.nanquantile(found.numbers["decided"][found.fitted], [0.05, 0.5, 0.95], axis=0).T)
 
 
-def decided_data(found: ReportData) -> list[Any] | None:
+def decided_data(found: ReportData) -> dict[str, Any] | None:
     """Return the points of what the data decided; None if no record was fitted."""
-    return plain(decided_quantiles(found), 3) if found.fitted.any() else None
+    if not found.fitted.any():
+        return None
+    points = decided_quantiles(found)
+    priors = is_priors(points[:, 1]).astype(np.int64).tolist()
+    return {"points": plain(points, 3), "priors": priors, "limit": PRIOR_BELOW}
 
 
 def shape_data(found: ReportData) -> dict[str, Any] | None:
@@ -139,7 +215,9 @@ def shape_data(found: ReportData) -> dict[str, Any] | None:
         return None
     some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_SHAPE_POINTS)).round().astype(np.int64))
     xi, eta = found.shape.middle[rows[some]].T
-    return {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta)}
+    priors = is_priors(found.numbers["decided"][rows[some], :3]).any(axis=1)  # as `shape_is_priors` has it
+    points = {"record": rows[some].tolist(), "xi": plain(xi), "eta": plain(eta), "priors": priors.astype(int).tolist()}
+    return {**points, "words": found.shape.words}
 
 
 def _hundredths(values: FloatArray) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.headline import Headline
 from bayes_rs.fits.shape_points import SHAPE_NAMES, ShapePoints, shape_points
 from bayes_rs.fits.summarizing import DIAGNOSTICS, OF_RECORD
 from bayes_rs.geometry.stress import STRESSES
@@ -38,6 +39,10 @@ class ReportData:
         The records that were fitted.
     prob : float
         Probability of the intervals.
+    interval : str
+        Which intervals they are: ``"equal-tailed"`` or ``"highest-density"``.
+    headline : Headline
+        What was found, in three lines.
     record, time, flag, wind_speed : ndarray, shape (n_record,)
         Number, start (NaT if there is none), flag bits, and mean wind speed, m/s (NaN if not known).
     numbers : dict of str to ndarray, shape (n_record, 6)
@@ -58,8 +63,6 @@ class ReportData:
         In words.
     shape : ShapePoints
         The records' points in Lumley's triangle.
-    interval : str
-        Which intervals they are.
     campaign : CampaignShown or str
         The campaign, or why there is none.
     """
@@ -67,6 +70,8 @@ class ReportData:
     run: dict[str, Any]
     records: xr.Dataset
     prob: float
+    interval: str
+    headline: Headline
     record: NDArray[np.int64]
     time: NDArray[np.datetime64]
     flag: NDArray[np.int64]
@@ -82,7 +87,6 @@ class ReportData:
     prior: str
     target: str
     shape: ShapePoints
-    interval: str
     campaign: CampaignShown | str = ""
 
     @property
@@ -139,6 +143,7 @@ def report_data(fit: Fit, *, prob: float | None = None) -> ReportData:
         run=dict(fit.run),
         records=fit.records,
         prob=own["prob"] if prob is None else prob,
+        headline=fit.headline(),
         record=np.arange(fit.n_record),
         time=fit.time,
         flag=fit.flag,

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.flags import FAILURES
+from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.report.report_data import ReportData
 
 MOST_RECORDS = 1000
@@ -38,6 +40,13 @@ class Series:
         Posterior median and interval; medians of them in a bin.
     spread_low, spread_high : ndarray, shape (n_point, 6)
         Where nine tenths of a bin's posterior medians are; NaN if not binned.
+    priors : ndarray of bool, shape (n_point, 6)
+        Whether the stress is more the prior's than the data's, in more than half of a bin's fitted records.
+    room : ndarray, shape (2, n_point, 6)
+        Ends of the prior's interval at the size that was found; NaN where they are not known.
+    intensity : dict of str to ndarray, shape (n_point,)
+        ``median``, ``low``, ``high``, ``spread_low`` and ``spread_high`` of turbulence intensity; empty if it is not
+        known of any record.
     """
 
     start: FloatArray
@@ -52,6 +61,9 @@ class Series:
     high: FloatArray
     spread_low: FloatArray
     spread_high: FloatArray
+    priors: NDArray[np.bool_]
+    room: FloatArray
+    intensity: dict[str, FloatArray]
 
 
 def time_axis(found: ReportData) -> tuple[FloatArray, float, bool]:
@@ -70,13 +82,15 @@ def time_axis(found: ReportData) -> tuple[FloatArray, float, bool]:
     return found.record.astype(np.float64), 1.0, False
 
 
-def make_series(found: ReportData) -> Series:
+def make_series(found: ReportData, room: FloatArray | None = None) -> Series:
     """Lay the stresses out along time.
 
     Parameters
     ----------
     found : ReportData
-        From `read_folder`.
+        From `report_data`.
+    room : ndarray, shape (2, n_record, 6), optional
+        Ends of the prior's interval at the size of each record, m² s⁻².
 
     Returns
     -------
@@ -87,6 +101,11 @@ def make_series(found: ReportData) -> Series:
     failed = (found.flag & FAILURES) != 0
     remarked = (found.flag != 0) & ~failed
     median, low, high = (found.numbers[name] for name in ("median", "low", "high"))
+    priors = is_priors(found.numbers["decided"])
+    if room is None:
+        room = np.full((2, *median.shape), np.nan)
+    known = found.derived.get("ti", {})
+    known = known if known and np.isfinite(known["median"]).any() else {}
     if len(position) <= MOST_RECORDS:
         nothing = np.full(median.shape, np.nan)
         return Series(
@@ -102,22 +121,33 @@ def make_series(found: ReportData) -> Series:
             high=high,
             spread_low=nothing,
             spread_high=nothing,
+            priors=priors,
+            room=room,
+            intensity=known,
         )
     bin_width = _bin_width(position, timed=timed)
     bins, index = np.unique(np.floor_divide(position, bin_width), return_inverse=True)
+    n_bin, fitted = len(bins), found.fitted
+    intensity = {name: _of_bins(known[name][:, None], index, n_bin, 0.5)[:, 0] for name in known}
+    for name, share in (("spread_low", 0.05), ("spread_high", 0.95)) if known else ():
+        intensity[name] = _of_bins(known["median"][:, None], index, n_bin, share)[:, 0]
+    of_priors = [np.bincount(index[fitted], priors[fitted, column], n_bin) for column in range(len(STRESSES))]
     return Series(
         start=np.asarray(bins * bin_width, dtype=np.float64),
         width=bin_width,
         timed=timed,
         binned=True,
-        count=np.bincount(index, minlength=len(bins)),
-        n_failed=np.bincount(index[failed], minlength=len(bins)),
-        n_remarked=np.bincount(index[remarked], minlength=len(bins)),
-        median=_of_bins(median, index, len(bins), 0.5),
-        low=_of_bins(low, index, len(bins), 0.5),
-        high=_of_bins(high, index, len(bins), 0.5),
-        spread_low=_of_bins(median, index, len(bins), 0.05),
-        spread_high=_of_bins(median, index, len(bins), 0.95),
+        count=np.bincount(index, minlength=n_bin),
+        n_failed=np.bincount(index[failed], minlength=n_bin),
+        n_remarked=np.bincount(index[remarked], minlength=n_bin),
+        median=_of_bins(median, index, n_bin, 0.5),
+        low=_of_bins(low, index, n_bin, 0.5),
+        high=_of_bins(high, index, n_bin, 0.5),
+        spread_low=_of_bins(median, index, n_bin, 0.05),
+        spread_high=_of_bins(median, index, n_bin, 0.95),
+        priors=2.0 * np.stack(of_priors, axis=1) > np.bincount(index[fitted], minlength=n_bin)[:, None],
+        room=np.stack([_of_bins(end, index, n_bin, 0.5) for end in room]),
+        intensity=intensity,
     )
 
 

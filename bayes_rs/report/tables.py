@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 NO_VALUE = "–"
+UNIT = "m² s⁻²"
+STAR = "*: mostly the prior's"
+"""What the star of `interval` means."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -26,11 +29,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
-def interval(middle: float, low: float, high: float) -> str:
-    """Write a number with its interval."""
+def interval(middle: float, low: float, high: float, *, priors: bool = False) -> str:
+    """Write a number with its interval; a star marks what is more the prior's than the data's."""
     if not np.isfinite(middle):
         return NO_VALUE
-    return f"{number(middle)} ({number(low)} to {number(high)})"
+    return f"{number(middle)}{'*' if priors else ''} ({number(low)} to {number(high)})"
 
 
 def table(caption: str, header: Sequence[str], rows: Iterable[Sequence[Any]], *, n_text: int = 1) -> str:
@@ -90,3 +93,16 @@ def flat(content: Any, name: str = "") -> list[tuple[str, str]]:
         texts = [str(value) for value in content]
         return [(name, ("; " if any(", " in text for text in texts) else ", ").join(texts) or "none")]
     return [(name, "none" if content is None else str(content))]
+
+
+def figure(kind: str, caption: str, content: str = "", attributes: str = "") -> str:
+    """Return the place of a picture, its caption, and its table."""
+    return (
+        f'<figure><div class="picture" data-figure="{kind}"{attributes}></div>'
+        f"<figcaption>{caption}</figcaption>{content}</figure>"
+    )
+
+
+def key(kind: str, text: str) -> str:
+    """Return an entry of a legend: a mark, and its words."""
+    return f'<span class="key"><span class="swatch {kind}" aria-hidden="true"></span>{escape(text)}</span> '

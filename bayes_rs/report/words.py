@@ -7,6 +7,7 @@ import numpy as np
 from bayes_rs.fits.direction_table import direction_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.records.layout import TURBINE
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import NO_VALUE, number
 
@@ -20,9 +21,10 @@ DIAGNOSTIC_WORDS = {
 
 
 def when(found: ReportData, index: int) -> str:
-    """Name a record by its start, or by its number where it has none."""
+    """Name a record by its turbine, if the records say theirs, and its start, or its number where it has none."""
     start = found.time[index]
-    return f"record {found.record[index]}" if np.isnat(start) else stamp(start)
+    name = f"record {found.record[index]}" if np.isnat(start) else stamp(start)
+    return f"{found.records[TURBINE].values[index]}, {name}" if TURBINE in found.records else name
 
 
 def stamp(time: np.datetime64) -> str:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
+import pandas as pd
+
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.output import output_file
+from bayes_rs.report.beside import Beside, match_fits
 from bayes_rs.report.page import render
 from bayes_rs.report.ranged_page import render_ranges
-from bayes_rs.report.report_data import report_data
+from bayes_rs.report.reference_section import make_reference
+from bayes_rs.report.report_data import ReportData, report_data
 from bayes_rs.result_folder import list_beside
 
 REPORT_FILE = "report.html"
@@ -24,6 +28,8 @@ def write_report(
     *,
     title: str | None = None,
     prob: float | None = None,
+    reference: str | Path | pd.DataFrame | None = None,
+    beside: Fit | str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write one HTML page that shows what a fit found, with its pictures and everything they are drawn from.
@@ -38,6 +44,11 @@ def write_report(
         Heading of the page; by default the scan and the period.
     prob : float, optional
         Probability of the credible intervals; by default that of the fit. Another one needs the draws.
+    reference : str, Path or DataFrame, optional
+        Turbulence intensity of another instrument, as a CSV file or a table: columns ``time`` (start of the period,
+        UTC), and ``ti`` (σ_u/U) or ``sigma_u`` and ``U`` (m/s). The page then shows its errors by wind speed.
+    beside : Fit, str or Path, optional
+        Another fit of the same records, or its folder: the page then shows both, matched by the starts of the records.
     overwrite : bool
         Replace an existing file.
 
@@ -50,7 +61,8 @@ def write_report(
     ------
     InputError
         If the folder is not of a fit, the fit is in memory and no file is named, the file exists and may not be
-        replaced, or prob cannot be had.
+        replaced, prob cannot be had, the reference cannot be read or matched, the other fit shares no record, or either
+        is given for a fit at several ranges.
 
     Notes
     -----
@@ -60,8 +72,7 @@ def write_report(
     The page loads nothing from elsewhere, and the same folder gives the same bytes. Of more than 1000 records the
     pictures along time show bins of whole hours. Draws go with the page as far as they take less than about 2.4 MB, 100
     to 600 a record; beyond, the posterior of a record is drawn from its mean and covariance, as a Gaussian. Where a
-    folder has no rows for it, turbulence intensity is √uu/U of the ends of the interval of uu: it holds the same
-    probability, but is not the shortest one.
+    folder has no rows for it, turbulence intensity is √uu/U of the ends of the interval of uu.
 
     Examples
     --------
@@ -70,7 +81,7 @@ def write_report(
     >>> records = brs.make_records(brs.read(brs.demo_file("6-beam-45"), scan), scan)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = write_report(brs.fit(records, scan, seed=1), f"{folder}/report.html")
-    ...     file.name, "Stresses over time" in file.read_text(encoding="utf-8")
+    ...     file.name, "Over time" in file.read_text(encoding="utf-8")
     ('report.html', True)
     """
     found = fit if isinstance(fit, Fit) else open_fit(fit)
@@ -78,15 +89,35 @@ def write_report(
         raise InputError("A fit in memory has no folder for its report: name a file to write.")
     file = Path(found.place) / REPORT_FILE if output is None else Path(output)
     if isinstance(found, RangedFit):
+        if reference is not None or beside is not None:
+            raise InputError(
+                f"A reference, or another fit, stands beside a fit at one range: take one of the {len(found.ranges)} "
+                "ranges (--range, fit.at)."
+            )
         html = partial(_of_ranges, found, None if output is not None else file, title, prob, overwrite=overwrite)
     else:
         data = report_data(found, prob=prob)
-        html = partial(render, data, title=title)
+        compared = None if beside is None else _match(found, data, beside, prob)
+        measured = None if reference is None else make_reference(data, reference)
+        html = partial(render, data, title=title, reference=measured, beside=compared)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it
     return file
+
+
+def _match(fit: Fit, data: ReportData, beside: Fit | str | Path, prob: float | None) -> Beside:
+    """Return the other fit beside this one."""
+    other = beside if isinstance(beside, Fit) else open_fit(beside)
+    if isinstance(other, RangedFit):
+        raise InputError(f"The fit beside is at {len(other.ranges)} ranges: give that at one of them.")
+    places = [Path(one.place).resolve() if one.place else None for one in (fit, other)]
+    known = [one for one in places if one is not None]
+    names = [one.name for one in known] if len(set(known)) > 1 else ["this fit", "the other"]
+    if names[0] == names[1]:
+        names = [f"{one.parent.name}/{one.name}" for one in known]
+    return match_fits(data, report_data(other, prob=prob), (names[0], names[1]))
 
 
 def _of_ranges(found: RangedFit, file: Path | None, title: str | None, prob: float | None, *, overwrite: bool) -> str:

@@ -1,0 +1,148 @@
+"""Turbulence intensity against a reference: errors by wind speed, bands of acceptance, and coverage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.fits.intensity_metrics import ALL_SPEEDS, BIAS_LIMIT, RRMSE_LIMIT, intensity_errors
+from bayes_rs.fits.intensity_reference import intensity_reference
+from bayes_rs.intervals import interval_words
+from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.report.packing import plain
+from bayes_rs.report.report_data import ReportData
+from bayes_rs.report.tables import figure, folded, key, number, table
+
+FEW = 3
+"""Records below which a bin's errors are drawn in grey."""
+_SCOPE = (
+    "The limits are those of DNV-RP-0661 (2023) for the verification of loads. That practice is for vertical profilers "
+    "on the ground beside a mast, and leaves nacelle lidars out: the limits stand here as what is usually quoted. Each "
+    "record counts with its posterior median. A reference at another place sees other eddies, which is part of the "
+    "RRMSE and of what the intervals miss."
+)
+_NORMAL = 1.959964
+"""Standard errors to each side of a mean that hold 95 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Turbulence intensity of another instrument at the records.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    ti, wind_speed : ndarray, shape (n_record,)
+        NaN where it has none; wind speed, m/s, is that of the lidar where the reference has none at all.
+    """
+
+    name: str
+    ti: FloatArray
+    wind_speed: FloatArray
+
+
+def make_reference(found: ReportData, source: str | Path | pd.DataFrame) -> Reference:
+    """Read a reference, as `intensity_reference` does, for the records of a report.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or matched, or the fit knows no turbulence intensity.
+    """
+    if "ti" not in found.derived:
+        raise InputError("The records have no wind speeds, and so no turbulence intensity to lay beside a reference.")
+    duration = float(found.records.attrs.get("duration", 600.0))
+    ti, speed = intensity_reference(source, found.time, duration)
+    name = "reference" if isinstance(source, pd.DataFrame) else Path(source).name
+    return Reference(name, ti, speed if np.isfinite(speed).any() else found.wind_speed)
+
+
+def reference_errors(found: ReportData, reference: Reference) -> pd.DataFrame:
+    """Return `intensity_errors` of the records' posterior medians."""
+    own = found.derived["ti"]
+    return intensity_errors(own["median"], own["low"], own["high"], reference.ti, reference.wind_speed)
+
+
+def reference_data(found: ReportData, reference: Reference) -> dict[str, Any]:
+    """Return what the script draws of a reference."""
+    rows = reference_errors(found, reference)
+    bins = rows[rows["bin"] != ALL_SPEEDS]
+    half = _NORMAL * bins["mrbe_se"].to_numpy()
+    bias = bins["mrbe"].to_numpy()
+    return {
+        "name": reference.name,
+        "bias_limit": round(100.0 * BIAS_LIMIT, 6),
+        "rrmse_limit": round(100.0 * RRMSE_LIMIT, 6),
+        "few": FEW,
+        "bins": {
+            "speed": plain(bins["wind_speed"].to_numpy()),
+            "count": bins["n_record"].tolist(),
+            "ours": plain(bins["measured"].to_numpy()),
+            "theirs": plain(bins["reference"].to_numpy()),
+            "bias": plain(100.0 * bias),
+            "bias_low": plain(100.0 * (bias - half)),
+            "bias_high": plain(100.0 * (bias + half)),
+            "rrmse": plain(100.0 * bins["rrmse"].to_numpy()),
+        },
+    }
+
+
+def reference_section(found: ReportData, reference: Reference) -> str:
+    """Return the part of the campaign's section that lays the reference beside it."""
+    rows = reference_errors(found, reference)
+    called = interval_words(found.prob, found.interval)
+    of_priors = is_priors(found.numbers["decided"][found.fitted, 0])
+    whole = rows.iloc[0]
+    mrbe, rrmse = float(whole["mrbe"]), float(whole["rrmse"])
+    within = "within" if abs(mrbe) <= BIAS_LIMIT else "outside"
+    below = "within" if rrmse <= RRMSE_LIMIT else "above"
+    numbers = (
+        f"Over {whole['n_record']} records the mean relative bias error is {_percent(mrbe)} (standard error "
+        f"{_percent(whole['mrbe_se'])}), {within} ±{100 * BIAS_LIMIT:g} %, and the relative root mean square error "
+        f"{_percent(rrmse)}, {below} {100 * RRMSE_LIMIT:g} %. The {called}, holds the reference in "
+        f"{100.0 * whole['coverage']:.0f} % of the records."
+    )
+    verdict = [numbers, _SCOPE]
+    if 2 * of_priors.sum() > len(of_priors):
+        verdict.append("In most records uu, and so turbulence intensity, is mostly the prior's.")
+    caption = (
+        key("middle", "lidar, mean of the posterior medians")
+        + key("reference", reference.name)
+        + key("accepted", "band of acceptance")
+        + key("point", "error of a bin of 1 m/s, with 95 % by its standard error")
+        + key("point priors", f"fewer than {FEW} records")
+    )
+    header = (
+        "wind speed", "records", "lidar TI", "reference TI", "MRBE", "its standard error", "RRMSE",
+        f"{100.0 * found.prob:g} % intervals that hold it",
+    )  # fmt: skip
+    cells = [
+        (
+            row["bin"],
+            f"{row['n_record']}",
+            number(row["measured"]),
+            number(row["reference"]),
+            _percent(row["mrbe"]),
+            _percent(row["mrbe_se"]),
+            _percent(row["rrmse"]),
+            f"{100.0 * row['coverage']:.0f} %",
+        )
+        for row in rows.to_dict("records")
+    ]
+    return (
+        f"<h3>Turbulence intensity against {escape(reference.name)}</h3>"
+        + "".join(f"<p>{escape(text)}</p>" for text in verdict)
+        + figure("acceptance", caption, folded("Table: errors by wind speed", table("Errors", header, cells)))
+    )
+
+
+def _percent(value: float) -> str:
+    return "–" if not np.isfinite(value) else f"{100.0 * value:.1f} %".replace("-", "−")

@@ -1,0 +1,106 @@
+"""Turbulence intensity against a reference: matching by time, errors as they are defined, and coverage."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayes_rs import InputError
+from bayes_rs.fits.intensity_metrics import BIAS_LIMIT, RRMSE_LIMIT, intensity_errors
+from bayes_rs.fits.intensity_reference import intensity_reference
+
+START = np.datetime64("2020-09-03T19:00", "ns") + np.arange(5) * np.timedelta64(600, "s")
+TI = np.array([0.10, 0.12, 0.14, 0.16, 0.18])
+
+
+def table(**columns):
+    return pd.DataFrame({"time": START, "ti": TI, **columns})
+
+
+class TestErrors:
+    def test_they_are_means_of_relative_errors_and_of_their_squares(self):
+        """A slow sum, record by record, with what DNV-RP-0661 calls MRBE and RRMSE."""
+        rng = np.random.default_rng(1)
+        reference, speed = rng.uniform(0.05, 0.3, 60), rng.uniform(3.6, 8.4, 60)
+        measured = reference * rng.normal(1.03, 0.1, 60)
+        found = intensity_errors(measured, 0.9 * measured, 1.1 * measured, reference, speed)
+        for row in found.to_dict("records"):
+            own = [
+                (one, other)
+                for one, other, wind in zip(measured, reference, speed, strict=True)
+                if row["bin"] == "all" or abs(wind - row["wind_speed"]) < 0.5
+            ]
+            error = [(one - other) / other for one, other in own]
+            assert row["n_record"] == len(own)
+            assert row["mrbe"] == pytest.approx(sum(error) / len(own), rel=1e-12)
+            assert row["rrmse"] == pytest.approx((sum(one * one for one in error) / len(own)) ** 0.5, rel=1e-12)
+            held = [0.9 * one <= other <= 1.1 * one for one, other in own]
+            assert row["coverage"] == pytest.approx(sum(held) / len(own))
+        assert int(found["n_record"].iloc[1:].sum()) == 60
+
+    def test_a_constant_factor_is_all_bias_and_has_no_scatter(self):
+        found = intensity_errors(1.04 * TI, TI, 1.1 * TI, TI, np.full(5, 8.0))
+        assert found["mrbe"].tolist() == pytest.approx([0.04, 0.04])
+        assert found["rrmse"].tolist() == pytest.approx([0.04, 0.04])
+        assert found["mrbe_se"].to_numpy() == pytest.approx(0.0, abs=1e-15)  # rounding
+
+    def test_bins_are_those_of_a_campaign(self):
+        found = intensity_errors(TI, TI, TI, TI, np.array([7.4, 7.5, 8.0, 8.49, 8.5]))
+        assert found["bin"].tolist() == ["all", "6.5-7.5 m/s", "7.5-8.5 m/s", "8.5-9.5 m/s"]
+        assert found["n_record"].tolist() == [5, 1, 3, 1]
+        assert np.isnan(found["mrbe_se"].iloc[1])
+
+    def test_records_that_lack_a_number_are_left_out(self):
+        lost = np.array([np.nan, 0.12, 0.14, 0.0, 0.18])
+        assert intensity_errors(TI, TI, TI, lost, np.full(5, 8.0))["n_record"].tolist() == [3, 3]
+        assert intensity_errors(TI, TI, TI, np.full(5, np.nan), np.full(5, 8.0)).empty
+
+    def test_the_limits_are_those_that_are_quoted(self):
+        assert (BIAS_LIMIT, RRMSE_LIMIT) == (0.05, 0.15)
+
+
+class TestMatching:
+    def test_rows_are_found_by_time_in_any_order(self):
+        ti, speed = intensity_reference(table(U=np.arange(5.0)).iloc[[3, 0, 4, 1, 2]], START, 600.0)
+        np.testing.assert_array_equal(ti, TI)
+        np.testing.assert_array_equal(speed, np.arange(5.0))
+
+    def test_a_row_belongs_to_a_record_within_a_twentieth_of_its_length(self):
+        late = [np.timedelta64(seconds, "s") for seconds in (0, 29, 31, -30, -31)]
+        ti, _ = intensity_reference(table(), START + np.array(late), 600.0)
+        assert np.isnan(ti).tolist() == [False, False, True, False, True]
+
+    def test_sigma_over_wind_and_offsets_of_time(self, tmp_path):
+        file = tmp_path / "mast.csv"
+        file.write_text("Timestamp,sigma_u,U\n2020-09-03T21:00+02:00,1.0,10.0\n2020-09-03T21:10+02:00,,10\n")
+        ti, speed = intensity_reference(file, START, 600.0)
+        assert ti[0] == pytest.approx(0.1)
+        assert np.isnan(ti[1:]).all()
+        assert speed[:2].tolist() == [10.0, 10.0]
+
+    def test_records_without_a_time_have_none(self):
+        time = START.copy()
+        time[2] = np.datetime64("NaT")
+        assert np.isnan(intensity_reference(table(), time, 600.0)[0]).tolist() == [False, False, True, False, False]
+
+    @pytest.mark.parametrize(
+        ("given", "words"),
+        [
+            (
+                pd.DataFrame({"when": START, "ti": TI}),
+                r"has the columns 'when', 'ti', and needs time, and ti or sigma_u",
+            ),
+            (table().assign(ti=100.0 * TI), r"has the median 14: give σ_u/U, not per cent"),
+            (table().assign(time="yesterday"), r"Row 0 of the reference that was given has the time 'yesterday'"),
+            (table().assign(ti="much"), r"Row 0 of the reference that was given has ti 'much', which is no number"),
+            (table().assign(time=START[0]), r"has 5 rows of 2020-09-03T19:00.*: keep one of a time"),
+            (table().assign(time=START + np.timedelta64(300, "s")), r"No row of the reference .* begins with a record"),
+            (table().iloc[:0], r"has 0 rows"),
+        ],
+    )
+    def test_what_cannot_be_matched_is_refused(self, given, words):
+        with pytest.raises(InputError, match=words):
+            intensity_reference(given, START, 600.0)
+
+    def test_a_file_that_is_none(self, tmp_path):
+        with pytest.raises(InputError, match=r"The reference '.*none.csv' cannot be read as CSV"):
+            intensity_reference(tmp_path / "none.csv", START, 600.0)
