@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.campaign.cells import bin_speed, speed_bin
 
 BIAS_LIMIT = 0.05
 """Mean relative bias error up to which DNV-RP-0661 accepts turbulence intensity for the verification of loads."""
@@ -75,6 +74,8 @@ def intensity_errors(
     known = np.all([np.isfinite(one) for one in (measured, low, high, reference, wind_speed)], axis=0) & (
         np.nan_to_num(reference) > 0.0
     )
+    from bayes_rs.campaign.cells import bin_speed, speed_bin  # noqa: PLC0415 - a report without a reference needs none of it
+
     number = speed_bin(np.where(known, wind_speed, 0.0))
     parts = [(ALL_SPEEDS, np.nan, known)]
     for one in np.unique(number[known]).tolist():
