@@ -89,8 +89,8 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield "truth: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STRESSES, stresses, strict=True))
     yield ""
     yield (
-        "Fifty beams at one opening angle tell no more of vv and ww than the prior does: see how the posterior fills "
-        "the prior's outline. One beam along the axis helps little at 15°; a wide angle helps most."
+        "Fifty beams at one opening angle tell no more of vv and ww than the prior does: what is "
+        "hatched grey in the pictures is the prior's. One beam along the axis helps little at 15°; a wide angle helps most."
     )
     yield f"Pictures and files: {output}"
 
@@ -106,7 +106,7 @@ def width_table(fits: dict[str, Fit]) -> pd.DataFrame:
         width = (table["high"] - table["low"]).groupby(table["stress"]).mean()
         rows[TITLES[name]] = width[list(STRESSES)]
     first = next(iter(fits.values()))
-    rows["the prior alone, at this size"] = pd.Series(_prior_width(first), index=list(STRESSES))
+    rows["the prior alone, at the size of the first"] = pd.Series(_prior_width(first), index=list(STRESSES))
     return pd.DataFrame(rows).T
 
 
