@@ -86,7 +86,7 @@ def log_conditional(
         found = np.subtract(whole, without, out=without)
     np.copyto(found, -np.inf, where=np.isneginf(whole))
     np.copyto(found, np.nan, where=~there[:, None, :])
-    return found
+    return np.asarray(found)
 
 
 def _log_density_of_others(
