@@ -1,5 +1,7 @@
 """The error that is asked of every reported number: reached by more draws, or said to be missed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise, records_of
@@ -7,7 +9,7 @@ from scipy import stats
 
 import bayes_rs as brs
 from bayes_rs.fits.more_draws import NUMBERS, expected_times, most_draws, times_the_draws
-from bayes_rs.fits.parts import FitOptions
+from bayes_rs.fits.parts import FitOptions, _sampled_together
 from bayes_rs.intervals import quantile_of_ordered
 from bayes_rs.posteriors.diagnostics import quantile_error
 from bayes_rs.priors.registry import WeakPrior
@@ -65,6 +67,16 @@ class TestHowManyDraws:
         assert expected_times(FitOptions(monte_carlo_error=1.0)) == 1.0
         assert expected_times(FitOptions(monte_carlo_error=0.05)) == pytest.approx(3.6)
         assert expected_times(FitOptions(monte_carlo_error=0.001)) == 32.0
+
+    def test_fewer_records_are_sampled_together_where_each_has_more(self):
+        def together(n_beam=6, **options):
+            return _sampled_together(SimpleNamespace(beam=np.arange(n_beam), options=FitOptions(**options)))
+
+        assert together() == together(target_ess=100) == 128
+        assert together(target_ess=4000) == 32
+        assert together(monte_carlo_error=0.05) == 35
+        assert together(target_ess=100_000) == 16
+        assert together(n_beam=1000, target_ess=100_000) == 4  # their covariances are 4 million numbers
 
 
 @pytest.mark.parametrize("sampler", ["emcee", "direct"])

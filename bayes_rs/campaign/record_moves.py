@@ -26,6 +26,8 @@ _UNSEEN = 1.0
 _KINDS = ("shift", "pair", "spread")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
+_WALKS = np.array([0.3, 1.0, 2.4])
+"""The same of the records' walk, before they are divided by the root of the number of coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +236,7 @@ class RecordMoves:
         new *= np.sqrt(_DOF / (2.0 * self.rng.standard_gamma(0.5 * _DOF, state.height.shape)))
         state = self._settle_records("records, independent", state, new, log_proposal(state.score) - log_proposal(new))
         if walk:
-            size = self.rng.choice([0.3, 1.0, 2.4], state.height.shape) / np.sqrt(d)
+            size = _one_of(_WALKS, state.height.shape, self.rng) / np.sqrt(d)
             step = self.rng.standard_normal(state.score.shape) * size
             state = self._settle_records("records, walk", state, state.score + step, 0.0)
         return state
@@ -376,24 +378,24 @@ class RecordMoves:
             return new
         if not accept.any():
             return state
-        reject = np.flatnonzero(~accept)
         now, then = state.frame, new.frame
-        for one, other in (
-            (then.mean, now.mean),
-            (then.middle, now.middle),
-            (new.coordinate, state.coordinate),
-        ):
-            one[:, reject] = other[:, reject]
-        new.height[reject], new.log_prior[reject] = state.height[reject], state.log_prior[reject]
-        if then.lower is not now.lower:
-            then.lower[:, :, reject] = now.lower[:, :, reject]
-            then.of_prior[reject], then.log_volume[reject] = now.of_prior[reject], now.log_volume[reject]
-            then.log_prior_volume[reject] = now.log_prior_volume[reject]
+        for chain in np.flatnonzero(~accept).tolist():  # one by one: an index of several copies twice
+            for one, other in (
+                (then.mean, now.mean),
+                (then.middle, now.middle),
+                (new.coordinate, state.coordinate),
+            ):
+                one[:, chain] = other[:, chain]
+            new.height[chain], new.log_prior[chain] = state.height[chain], state.log_prior[chain]
+            if then.lower is not now.lower:
+                then.lower[:, :, chain] = now.lower[:, :, chain]
+                then.of_prior[chain], then.log_volume[chain] = now.of_prior[chain], now.log_volume[chain]
+                then.log_prior_volume[chain] = now.log_prior_volume[chain]
         return replace(new, hyper=state.hyper.where(accept, new.hyper))
 
     def _steps(self, kind: str, axis: int, n_chain: int) -> FloatArray:
         """Return sizes of steps, shape (n_chain,)."""
-        return np.asarray(np.exp(self.log_step[kind][axis]) * self.rng.choice(_SIZES, n_chain))
+        return np.asarray(np.exp(self.log_step[kind][axis]) * _one_of(_SIZES, n_chain, self.rng))
 
     def _accept(self, what: str, log_ratio: FloatArray) -> NDArray[np.bool_]:
         accept = np.log(self.rng.uniform(size=log_ratio.shape)) < log_ratio
@@ -406,3 +408,8 @@ def _chances(weight: FloatArray) -> FloatArray:
     """Return probabilities that are larger where the weights are, and nowhere small."""
     chance = weight + 0.1 * weight.max()
     return np.asarray(chance / chance.sum())
+
+
+def _one_of(values: FloatArray, shape: int | tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+    """Return one of the values, each as probable, for every place: as `Generator.choice`, which takes longer."""
+    return np.asarray(values[rng.integers(len(values), size=shape)])

@@ -51,8 +51,9 @@ def log_likelihood_of(shared: Shared, parts: Sequence[Part], fit: FitData) -> xr
         each: list[tuple[NDArray[np.int64], FloatArray | None]] = []
         for rows, posterior in found:
             seen = _seen(posterior, stress[rows], {name: values[rows] for name, values in nuisances.items()})
-            whole[rows] = posterior.likelihood.log_density(*seen).reshape(len(rows), *stress.shape[1:3])
-            each.append((rows, log_conditional(posterior.likelihood, *seen, of_beams=of_beams)))
+            joint = posterior.likelihood.log_density(*seen)
+            whole[rows] = joint.reshape(len(rows), *stress.shape[1:3])
+            each.append((rows, log_conditional(posterior.likelihood, *seen, of_beams=of_beams, joint=joint)))
     group: dict[str, Any] = {"joint": (("chain", "draw", "record"), np.moveaxis(whole, 0, 2), {"long_name": _WHOLE})}
     known = [(rows, values) for rows, values in each if values is not None]
     if known and len(known) == len(each):

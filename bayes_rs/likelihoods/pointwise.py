@@ -28,6 +28,7 @@ def log_conditional(
     gradient: FloatArray | None = None,
     *,
     of_beams: bool,
+    joint: FloatArray | None = None,
 ) -> FloatArray | None:
     r"""Return the log-density of each datum of a record given all its other data and the stresses.
 
@@ -40,6 +41,8 @@ def log_conditional(
     of_beams : bool
         True for a datum for each beam, the logarithm of its variance (for records of which `has_beams` is true); False
         for one for each direction, the reduced data Uᵀ ln y.
+    joint : ndarray, shape (n_record, n_draw), optional
+        What `Likelihood.log_density` gives for the same, if it is at hand.
 
     Returns
     -------
@@ -77,11 +80,13 @@ def log_conditional(
             return None
         density, there = _log_density_of_others(part, stress, offset, gradient, of_beams=of_beams)
         others.append(weight + density)
-    joint = likelihood.log_density(stress, offset, gradient)[..., None]
-    without = scipy.special.logsumexp(np.stack(others), axis=0)
+    whole = (likelihood.log_density(stress, offset, gradient) if joint is None else joint)[..., None]
+    without = others[0] if len(others) == 1 else scipy.special.logsumexp(np.stack(others), axis=0)
     with np.errstate(invalid="ignore"):
-        found = np.where(np.isneginf(joint), -np.inf, joint - without)
-    return np.where(there[:, None, :], found, np.nan)
+        found = np.subtract(whole, without, out=without)
+    np.copyto(found, -np.inf, where=np.isneginf(whole))
+    np.copyto(found, np.nan, where=~there[:, None, :])
+    return np.asarray(found)
 
 
 def _log_density_of_others(
@@ -103,11 +108,14 @@ def _log_density_of_others(
     own = np.where(there, own, 1.0)[:, None, :]
     with np.errstate(invalid="ignore"):
         square = np.sum(residual * residual, axis=-1)[..., None]
-        pull = residual @ root.swapaxes(-1, -2)  # (P r)_i
-        less = np.maximum(square - pull * pull / own, 0.0)
+        less = residual @ root.swapaxes(-1, -2)  # (P r)_i; below, in its place, what the square is without each
+        less *= less
+        less /= own
+        np.maximum(np.subtract(square, less, out=less), 0.0, out=less)
     known = log_normalizer(part.n_datum, np.zeros(part.n_record), part.dof)
     log_determinant = 2.0 * (known - part.log_normalizer)
     n_other = part.n_datum - 1
     factor = log_normalizer(n_other, log_determinant, part.dof)[:, None, None] - 0.5 * np.log(own)
-    exponent = [half_square(less[..., index], n_other, part.dof) for index in range(less.shape[-1])]
-    return np.asarray(factor - np.stack(exponent, axis=-1)), there
+    for index in range(less.shape[-1]):
+        less[..., index] = half_square(less[..., index], n_other, part.dof)
+    return np.asarray(np.subtract(factor, less, out=less)), there

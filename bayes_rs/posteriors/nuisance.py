@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,7 +142,7 @@ class Nuisances:
                 "variance."
             )
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the sampled ones, in the order of their coordinates."""
         switch = {
