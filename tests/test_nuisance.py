@@ -123,7 +123,7 @@ class TestLaws:
 class TestCalibration:
     def test_yaw_that_is_not_known(self):
         scan, noise, stress, rng = scene("6-beam", 4, opening_angle_deg=45.0)
-        error = 10.0 * rng.standard_normal(N_RECORD)
+        error = 15.0 * rng.standard_normal(N_RECORD)  # at 10° the wrong fit is found out with some draws only
         variance = np.concatenate(
             [
                 draw_variances(one[None], replace(scan, yaw=np.deg2rad(delta)), noise, rng)
@@ -131,7 +131,7 @@ class TestCalibration:
             ]
         )
         records = records_of(variance, scan)
-        nuisances = Nuisances(yaw_sd_deg=10.0)
+        nuisances = Nuisances(yaw_sd_deg=15.0)
         result = fit(records, scan, noise=noise, seed=1, target_ess=400, sampler="auto", nuisances=nuisances)
         check_coverage(result, stress)
         check_coverage(result, stress, "yaw_error", error)
