@@ -179,7 +179,8 @@ def _of_points(
     found = kept[name]
     place = np.arcsinh((along / core).astype(np.float32)) / np.float32(step) + np.float32(half)
     place = np.where(found.backward[:, np.newaxis], np.float32(2 * half) - place, place)
-    return interpolate_rows(found.lines[found.which], place).astype(np.float64)
+    lines: NDArray[Any] = found.lines[found.which]
+    return interpolate_rows(lines, place).astype(np.float64)
 
 
 def _lines_of_points(
