@@ -22,7 +22,7 @@ from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows
 from bayes_rs.turbulence.two_point import radial_covariance
 
-_COARSE, _COARSE_LAG_STEP = 1e-3, 0.3  # the step of the separations where the tolerance is not below that
+_COARSE = 1e-3  # tolerance below which points are not taken from lines
 _POINTS_LAG_STEP = 0.4  # of points, as in the table of the turbulence
 _HALF_STEP = 16  # of the number of those separations on one side: most wind speeds of a net have the same
 _DECIMALS = 9  # of metres and of unit vectors: lines that agree to this are one
@@ -79,7 +79,7 @@ def kept_covariance(
     if not np.any(lengths > 0.0):
         return _of_points(first, second, across, along, turbulence, tolerance)
     core = grid_core(shortest, turbulence)
-    step = LAG_STEP if tolerance < _COARSE else _COARSE_LAG_STEP
+    step = LAG_STEP
     half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / step)) + STENCIL // 2
     half = _HALF_STEP * -(-half // _HALF_STEP)
     place = np.arcsinh(along / core) / step + half
