@@ -90,7 +90,8 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield ""
     yield (
         "Fifty beams at one opening angle tell no more of vv and ww than the prior does: what is "
-        "hatched grey in the pictures is the prior's. One beam along the axis helps little at 15°; a wide angle helps most."
+        "hatched grey in the pictures is the prior's. One beam along the axis helps little at 15°; a wide angle helps "
+        "most."
     )
     yield f"Pictures and files: {output}"
 
