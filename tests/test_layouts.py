@@ -302,7 +302,10 @@ class TestFolderThatWasSealedAgain:
         [
             (b"quantity,bin\nuu", "cannot be used: CSV parse error"),
             (b"quantity,bin,mean\nuu,all,1\n", "has no column 'low'"),
-            (b"quantity,bin,mean,low,high,prob,n_record,decided\nuu,all,1,1,1,0.9,4,1\n", "has 0 rows of vv"),
+            (
+                b"quantity,bin,mean,low,high,prob,interval,n_record,decided\nuu,all,1,1,1,0.9,equal-tailed,4,1\n",
+                "has 0 rows of vv",
+            ),
         ],
     )
     def test_campaign(self, folder, content, words):
