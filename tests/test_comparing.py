@@ -436,6 +436,7 @@ class TestCommand:
         "method": "both",
         "n_records": 3,
         "estimators": ("lsp",),
+        "interval": "highest-density",
         "seed": 5,
     }
     """A value for every option that is not its default."""
