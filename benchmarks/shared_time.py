@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 import bayes_rs as brs
-from bayes_rs.design.comparing import truth_of
+from bayes_rs.design.scene import truth_of
 
 SCAN, WIND, N_RECORD = "wls200s-dbs@probe=point", 10.0, 300
 KEPT = {
