@@ -297,12 +297,16 @@ class TestGuard:
 
 class TestCommand:
     def start_app(self, *arguments):
-        running = subprocess.Popen(  # noqa: S603 - our own script
-            [SCRIPT, "app", "--no-open", *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
+        try:
+            running = subprocess.Popen(  # noqa: S603 - our own script
+                [SCRIPT, "app", "--no-open", *map(str, arguments)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        finally:
+            signal.signal(signal.SIGINT, before)
         said = running.stdout.readline()
         assert said.startswith("the app is at http://127.0.0.1:"), said + running.stderr.read()
         return running, int(said.split(":")[2].split("/")[0])
