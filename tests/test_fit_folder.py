@@ -21,7 +21,7 @@ from fit_scene import EMPTY_PART, N_RECORD, NOISE, OPTIONS, PART, SCAN, fit_to, 
 
 from bayes_rs import STRESSES, InputError, MannTurbulence, Nuisances, fit, load_scan, open_fit
 from bayes_rs.campaign import sampling
-from bayes_rs.fits import campaign_job, fit_folder, plan
+from bayes_rs.fits import campaign_job, fit_writing, plan
 from bayes_rs.fits import parts as fit_parts
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.tables import part_names
@@ -271,9 +271,9 @@ class TestFolder:
             "import resource, sys\n"
             f"sys.path.insert(0, {str(TESTS)!r})\n"
             "from fit_scene import OPTIONS, SCAN, fit_to, make_records\n"
-            "from bayes_rs.fits import fit_folder, plan\n"
+            "from bayes_rs.fits import fit_writing, plan\n"
             "plan.PART_RECORDS = 64\n"
-            "fit_folder.MOST_KEPT = 0\n"  # as of a long fit: no export of all draws at once
+            "fit_writing.MOST_KEPT = 0\n"  # as of a long fit: no export of all draws at once
             "fit_to(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', campaign='off', **OPTIONS)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
         )
@@ -389,7 +389,7 @@ class TestResume:
         same(found, open_fit(plain).summary()[: len(found)])
 
     def test_a_finished_run_is_not_done_again(self, records, plain, monkeypatch):
-        monkeypatch.setattr(fit_folder, "fit_part", None)
+        monkeypatch.setattr(fit_writing, "fit_part", None)
         before = parts(plain)
         found = fit_to(records, SCAN, plain, resume=True, **OPTIONS)
         assert (found.run["n_resumed"], found.n_fitted) == (N_RECORD, N_RECORD - len(UNFITTED))
@@ -481,7 +481,7 @@ class TestFailures:
     def test_an_error_in_a_part_keeps_the_finished_ones_and_says_how_to_go_on(
         self, records, plain, monkeypatch, tmp_path, workers
     ):
-        monkeypatch.setattr(fit_folder, "fit_part", fit_scene.fail_at_part_three)
+        monkeypatch.setattr(fit_writing, "fit_part", fit_scene.fail_at_part_three)
         with pytest.raises(ZeroDivisionError, match="part three") as caught:
             fit_to(records, SCAN, tmp_path / "out", workers=workers, **OPTIONS)
         kept = parts(tmp_path / "out", "posterior")
@@ -523,7 +523,7 @@ class TestFailures:
             raise PermissionError(errno.EACCES, "Permission denied")
 
         fit_to(records.isel(record=slice(0, 2)), SCAN, tmp_path / "out", **OPTIONS)
-        monkeypatch.setattr(fit_folder, "fit_part", None)
+        monkeypatch.setattr(fit_writing, "fit_part", None)
         monkeypatch.setattr("bayes_rs.result_folder.ResultFolder.write_run", refused)
         for name, options in (("new", {}), ("out", {"resume": True})):
             with pytest.raises(
@@ -534,7 +534,7 @@ class TestFailures:
 
     def test_two_processes_and_one_that_is_killed_change_no_number(self, records, plain, monkeypatch, tmp_path):
         monkeypatch.setenv("BAYES_RS_TEST_DIED", str(tmp_path / "died"))
-        monkeypatch.setattr(fit_folder, "fit_part", fit_scene.fit_part_and_die_once)
+        monkeypatch.setattr(fit_writing, "fit_part", fit_scene.fit_part_and_die_once)
         found = fit_to(records, SCAN, tmp_path / "out", workers=2, **OPTIONS)
         assert (tmp_path / "died").exists()
         same_folders(Path(found.place), plain)
@@ -581,7 +581,7 @@ class TestDask:
 
     def test_a_worker_that_is_killed_changes_no_number(self, records, plain, client, monkeypatch, tmp_path):
         client.run(fit_scene.set_variable, "BAYES_RS_TEST_DIED", str(tmp_path / "died"))
-        monkeypatch.setattr(fit_folder, "fit_part", fit_scene.fit_part_and_die_once)
+        monkeypatch.setattr(fit_writing, "fit_part", fit_scene.fit_part_and_die_once)
         found = fit_to(records, SCAN, tmp_path / "out", client=client, **OPTIONS)
         assert (tmp_path / "died").exists()
         same_folders(Path(found.place), plain)

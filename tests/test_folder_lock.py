@@ -30,14 +30,14 @@ WORK = (
     "import sys, time\n"
     f"sys.path.insert(0, {str(TESTS)!r})\n"
     "import fit_scene\n"
-    "from bayes_rs.fits import fit_folder, plan\n"
+    "from bayes_rs.fits import fit_writing, plan\n"
     "plan.PART_RECORDS = fit_scene.PART\n"
     "def slowly(shared, part):\n"
     "    if part.index == 2:\n"
     "        print('at part two', flush=True)\n"
     "        sys.stdin.read()\n"
     "    return fit_scene.FIT_PART(shared, part)\n"
-    "fit_folder.fit_part = slowly\n"
+    "fit_writing.fit_part = slowly\n"
     "fit_scene.fit_to(fit_scene.make_records(), fit_scene.SCAN, sys.argv[1], **fit_scene.OPTIONS)\n"
 )
 

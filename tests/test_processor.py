@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import bayes_rs as brs
 from bayes_rs.begin_folder import begin_result_folder
-from bayes_rs.fits import fit_folder, fitting, parts, plan
+from bayes_rs.fits import fit_writing, fitting, parts, plan
 from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_options import split_options
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records
@@ -35,7 +35,7 @@ def small_parts(monkeypatch):
 
 def as_other(monkeypatch, kind="another kind"):
     """Have this process seem to run on a processor of another kind."""
-    for module in (fit_folder, fitting, parts, at_states):
+    for module in (fit_writing, fitting, parts, at_states):
         monkeypatch.setattr(module, "processor_kind", lambda: kind)
 
 
