@@ -19,7 +19,7 @@ import pytest
 from fit_scene import NOISE, PART, SCAN
 
 from bayes_rs import InputError, LostResultsError, fit, open_fit, save_scan
-from bayes_rs.fits import fit_folder, plan
+from bayes_rs.fits import fit_writing, plan
 from bayes_rs.result_folder import open_result_folder
 
 pytestmark = pytest.mark.slow
@@ -185,7 +185,7 @@ class TestMissing:
                 spoil()
             return fit_scene.FIT_PART(shared, part)
 
-        monkeypatch.setattr(fit_folder, "fit_part", fitting)
+        monkeypatch.setattr(fit_writing, "fit_part", fitting)
 
     def test_a_part_is_deleted_while_the_run_goes_on(self, made, tmp_path, monkeypatch):
         place = tmp_path / "out"
@@ -284,7 +284,7 @@ class TestOverwriting:
             return fit_scene.FIT_PART(shared, part)
 
         with monkeypatch.context() as patch:
-            patch.setattr(fit_folder, "fit_part", interrupted)
+            patch.setattr(fit_writing, "fit_part", interrupted)
             with pytest.raises(KeyboardInterrupt) as caught:
                 run(output=place, overwrite=True, seed=4)
         assert f"{2 * PART} of {N_RECORD} records are finished and kept in" in caught.value.__notes__[0]
@@ -393,7 +393,7 @@ def test_signals_are_interrupts_too(made, tmp_path, monkeypatch):
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background of a shell ignore it
     try:
         with monkeypatch.context() as patch:
-            patch.setattr(fit_folder, "fit_part", fitting)
+            patch.setattr(fit_writing, "fit_part", fitting)
             with pytest.raises(KeyboardInterrupt) as caught:
                 run(output=tmp_path / "out")
     finally:
