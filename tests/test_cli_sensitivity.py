@@ -78,7 +78,7 @@ def test_what_is_printed_is_in_the_table(run, scene):
     _, records, scan, noise = scene
     code, out, _ = run(*FACTORS)
     assert code == 0
-    assert "90 % intervals" in out[0]
+    assert "90 % interval, equal-tailed" in out[0]
     assert "3 records" in out[0]
     assert out[2].split()[:3] == ["stress", "prior", "posterior"]
     table = prior_sensitivity(records, scan, noise=noise, seed=1, factors=(0.5, 3.0))

@@ -19,8 +19,8 @@ import bayes_rs
 from bayes_rs import InputError, load_scan, processor, sizes
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.fits import workers
-from bayes_rs.fits.fit_folder import DATASETS
 from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.folder_tables import DATASETS
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import plan_fit
 from bayes_rs.fits.tables import names_of_part
@@ -72,7 +72,7 @@ class TestSpawn:
         context = multiprocessing.get_context("spawn")
         here = fit_part(plan.shared, plan.parts[0])
         with ProcessPoolExecutor(
-            1, mp_context=context, initializer=workers._share, initargs=(plan.shared, os.getpid())
+            1, mp_context=context, initializer=workers._share, initargs=(plan.shared, os.getpid(), None)
         ) as pool:
             there = pool.submit(workers._work, fit_part, plan.parts[0]).result()
         assert set(there.tables) == set(here.tables)

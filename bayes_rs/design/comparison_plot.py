@@ -114,7 +114,8 @@ def _bar_figure(
     for column in range(n_column):
         lowest = grid[(len(stresses) - 1 - column) // n_column, column]
         lowest.set_xlabel(f"{WIDTH} [1]")
-    panels[0].set_yticks(range(len(scans)), scans, parse_math=False)  # a name may hold a dollar sign
+    for panel in panels:  # each: panels that share an axis have labels of their own
+        panel.set_yticks(range(len(scans)), scans, parse_math=False)  # a name may hold a dollar sign
     panels[0].invert_yaxis()
     _legend(target, panels, posterior, str(posterior["interval"].iloc[0]))
     return target

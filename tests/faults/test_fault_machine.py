@@ -150,7 +150,7 @@ def check(command, inputs, folder, **strange):
 
 
 def test_every_command_has_a_case():
-    assert CASES.keys() == COMMANDS.keys()
+    assert CASES.keys() == COMMANDS.keys() - {"app"}  # that one serves until it is interrupted: test_app
 
 
 @pytest.mark.parametrize("command", [pytest.param(name, marks=[pytest.mark.long] * (name == "demo")) for name in CASES])
