@@ -327,7 +327,8 @@ class TestSampleCampaign:
         assert found.stress.shape[0] >= 4
         np.testing.assert_array_equal(found.wind_speed, speed)
         assert list(found.hyper.columns) == [
-            "name", "mean", "low", "high", "prior_mean", "prior_low", "prior_high", "interval", "decided", "ess", "r_hat"
+            "name", "mean", "low", "high", "prior_mean", "prior_low", "prior_high", "interval",
+            "decided", "ess", "r_hat"
         ]  # fmt: skip
         assert all(0.0 < share < 1.0 for share in found.acceptance.values())
         assert found.prior.n_record == 40
