@@ -117,7 +117,7 @@ class TestWidth:
                 return True
 
         words = "doubtful: " + "12 records have a front; " * 8
-        monkeypatch.setattr(voice.shutil, "get_terminal_size", lambda: os.terminal_size((60, 24)))
+        monkeypatch.setattr(voice.shutil, "get_terminal_size", lambda *_: os.terminal_size((60, 24)))
         lines = voice._wrapped(words, Terminal(), indent=10).splitlines()
         assert max(map(len, lines)) <= 60
         assert all(line.startswith(" " * 10) for line in lines[1:])
