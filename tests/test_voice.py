@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import sys
 
 import click
@@ -117,7 +116,7 @@ class TestWidth:
                 return True
 
         words = "doubtful: " + "12 records have a front; " * 8
-        monkeypatch.setattr(voice.shutil, "get_terminal_size", lambda *_: os.terminal_size((60, 24)))
+        monkeypatch.setenv("COLUMNS", "60")
         lines = voice._wrapped(words, Terminal(), indent=10).splitlines()
         assert max(map(len, lines)) <= 60
         assert all(line.startswith(" " * 10) for line in lines[1:])
