@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
+from bayes_rs.processor import one_thread
 from bayes_rs.theory.pair_moments import PAIR_TOLERANCE, pair_moments
 from bayes_rs.theory.pairs import distinct_pairs
 from bayes_rs.theory.probed import probe_transfer
@@ -218,20 +220,30 @@ def _record_stresses(
     tolerance: float,
 ) -> FloatArray:
     """Return the expected stresses of a record at one point, sampled as each beam is, shape (n_beam, 6), m² s⁻²."""
-    axes, pair = np.eye(3), np.array(INDEX_PAIRS)
     record = np.empty((scan.n_beam, len(STRESSES)))
+    flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
     for size in np.unique(count).tolist():
-        lag = wind_speed * scan.scan_duration * np.arange(-(size - 1), size)
-        own = radial_covariance(
-            axes[pair[:, 0]],
-            axes[pair[:, 1]],
-            np.zeros((len(pair), 2)),
-            np.broadcast_to(lag, (len(pair), len(lag))),
-            turbulence,
-            tolerance=tolerance,
-        )
-        record[count == size] = toeplitz_trace(own, size, detrend=detrend) / size
+        record[count == size] = _sampled_stresses(flow, size, wind_speed * scan.scan_duration, detrend, tolerance)
     return record
+
+
+@lru_cache(maxsize=4096)  # they are those of all directions
+@one_thread()
+def _sampled_stresses(
+    flow: tuple[float, float, float], size: int, step: float, detrend: str, tolerance: float
+) -> FloatArray:
+    axes, pair = np.eye(3), np.array(INDEX_PAIRS)
+    own = radial_covariance(
+        axes[pair[:, 0]],
+        axes[pair[:, 1]],
+        np.zeros((len(pair), 2)),
+        np.broadcast_to(step * np.arange(-(size - 1), size), (len(pair), 2 * size - 1)),
+        MannTurbulence(*flow),
+        tolerance=tolerance,
+    )
+    stresses = np.asarray(toeplitz_trace(own, size, detrend=detrend) / size)
+    stresses.flags.writeable = False
+    return stresses
 
 
 def _covariance_error(relative: FloatArray, mean: FloatArray, velocity_error: float) -> float:

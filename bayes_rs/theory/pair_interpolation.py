@@ -151,10 +151,11 @@ def interpolate_pairs(
             known[new] = calculate(new)
 
     starts = (of_points, np.ones(n))
-    test, count = np.append(chance[:_N_TEST], spread_pairs(apart, _N_NEAR)), _FIRST
+    order = np.argsort(apart, kind="stable")
+    test, count = np.append(chance[:_N_TEST], _evenly(apart[order], order, _N_NEAR)), _FIRST
     others = chance[~np.isin(chance, test)]
     while count <= min(_WORTH * n, _MOST):
-        evenly = np.setdiff1d(spread_pairs(apart, int(_EVENLY * count)), test)
+        evenly = np.setdiff1d(_evenly(apart[order], order, int(_EVENLY * count)), test)
         chosen = np.union1d(evenly, others[: count - len(evenly)])
         know(np.union1d(chosen, test))
         fields = [_Smooth(scaled[chosen], np.log(known[chosen] / start[chosen])) for start in starts]
@@ -177,8 +178,12 @@ def interpolate_pairs(
 def spread_pairs(apart: FloatArray, count: int) -> NDArray[np.int64]:
     """Return the numbers of about `count` pairs that are evenly spread over their separations, ascending."""
     order = np.argsort(apart, kind="stable")
-    even = np.linspace(apart[order[0]], apart[order[-1]], count)
-    return np.unique(order[np.clip(np.searchsorted(apart[order], even), 0, len(apart) - 1)])
+    return _evenly(apart[order], order, count)
+
+
+def _evenly(ascending: FloatArray, order: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    even = np.linspace(ascending[0], ascending[-1], count)
+    return np.unique(order[np.clip(np.searchsorted(ascending, even), 0, len(order) - 1)])
 
 
 class _Smooth:
