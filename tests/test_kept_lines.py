@@ -137,6 +137,55 @@ class TestKept:
         theory_noise(scan, replace(FLOW, dissipation=0.3), wind_speed=9.0, yaw=0.3)
         assert len(rows) == 2  # another direction, and another flow
 
+    def test_mirror_images_and_beams_in_the_other_order_have_one_line(self, monkeypatch):
+        rng = np.random.default_rng(2)
+        direction = np.column_stack([-np.ones(6), rng.normal(0.0, 0.3, (6, 2))])
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        first, second, across = direction[:3], direction[3:], rng.normal(0.0, 20.0, (3, 2))
+        along, lengths = rng.normal(0.0, 200.0, (3, 40)), rng.uniform(2.0, 9.0, (3, 2))
+        mirror, side = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0])
+        images = [
+            (first, second, across, along, lengths),
+            (second, first, across, along, lengths[:, ::-1]),
+            (first * mirror, second * mirror, across * side, along, lengths),
+            (first, second, -across, -along, lengths),
+            (second * mirror, first * mirror, -across * side, -along, lengths[:, ::-1]),
+        ]
+        *given, lengths = (np.concatenate(parts) for parts in zip(*images, strict=True))
+        rows = []
+        by_rules = kept_lines.by_rules
+        monkeypatch.setattr(
+            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
+        )
+        have = kept_covariance(*given, FLOW, lengths=lengths, probe=CW, shortest=2.0)
+        assert rows == [3]
+        want = probed_covariance(*given, FLOW, lengths=lengths, probe=CW)
+        np.testing.assert_allclose(have, want, atol=2e-4 * FLOW.stresses()[0])
+
+    def test_a_symmetric_pattern_has_one_line_to_the_left_and_to_the_right(self, monkeypatch):
+        rows = []
+        by_rules = kept_lines.by_rules
+        monkeypatch.setattr(
+            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
+        )
+        theory_noise("windcube-v2", FLOW, wind_speed=9.0, yaw=0.3)
+        assert sum(rows) > 0
+        rows.clear()
+        theory_noise("windcube-v2", FLOW, wind_speed=9.0, yaw=-0.3)
+        assert rows == []
+
+    def test_many_pairs_are_chosen_alike_at_all_wind_speeds(self, monkeypatch):
+        rows = []
+        by_rules = kept_lines.by_rules
+        monkeypatch.setattr(
+            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
+        )
+        theory_noise("zx-tm", FLOW, wind_speed=10.0, yaw=0.1)
+        assert sum(rows) > 200
+        rows.clear()
+        theory_noise("zx-tm", FLOW, wind_speed=9.3, yaw=0.1)
+        assert sum(rows) < 30  # of pairs that tell the largest error
+
     def test_what_is_kept_is_forgotten(self):
         with many_speeds():
             theory_noise("windcube-v2", FLOW, wind_speed=9.0)

@@ -168,7 +168,7 @@ class TestInterpolation:
         )
 
     def test_a_smooth_function_takes_few(self):
-        features, apart = self.scene()
+        features, apart, aside = self.scene()
         truth = np.exp(0.01 * (features[:, 0] + features[:, 1]) + 0.02 * features[:, 5])
         asked = []
 
@@ -176,16 +176,16 @@ class TestInterpolation:
             asked.extend(index.tolist())
             return truth[index]
 
-        found = interpolate_pairs(features, apart, np.ones(len(apart)), np.ones(len(apart)), calculate, 0.02)
+        found = interpolate_pairs(features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), calculate, 0.02)
         assert found.n_calculated == len(asked) == len(set(asked)) < 0.6 * len(apart)
         assert found.error < 0.02
         np.testing.assert_allclose(found.values, truth, rtol=0.1)
 
     def test_a_rough_one_is_calculated_for_all(self):
-        features, apart = self.scene()
+        features, apart, aside = self.scene()
         truth = np.exp(np.random.default_rng(0).normal(size=len(apart)))
         found = interpolate_pairs(
-            features, apart, np.ones(len(apart)), np.ones(len(apart)), lambda index: truth[index], 1e-3
+            features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), lambda index: truth[index], 1e-3
         )
         np.testing.assert_array_equal(found.values, truth)
         assert found.n_calculated == len(truth)

@@ -239,7 +239,7 @@ def _interpolated(
 ) -> PairSample:
     """Return the moments of pairs of beams with probes, most of them interpolated."""
     pairs = record.pairs
-    features, apart = pair_features(
+    features, apart, aside = pair_features(
         pairs.first[rest],
         pairs.second[rest],
         pairs.across[rest],
@@ -248,7 +248,7 @@ def _interpolated(
         step=record.step,
         length_scale=record.turbulence.length_scale,
     )
-    return interpolate_pairs(features, apart, of_points, size, calculate, 0.8 * pair_tolerance)
+    return interpolate_pairs(features, apart, aside, of_points, size, calculate, 0.8 * pair_tolerance)
 
 
 def _relative(off: FloatArray, values: FloatArray) -> float:

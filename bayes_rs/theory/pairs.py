@@ -75,7 +75,7 @@ def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int6
     lengths = np.stack([scan.probe_length[row], scan.probe_length[column]], axis=-1)
     own = (row == column)[:, np.newaxis]
     table = np.concatenate([mirror * apart, mirror * first, mirror * second, samples, own, lengths], axis=1)
-    _, index, distinct = np.unique(_fingerprints(table), return_index=True, return_inverse=True)
+    _, index, distinct = np.unique(fingerprints(table), return_index=True, return_inverse=True)
     order = np.argsort(index)  # as they come: the same at all wind speeds, as far as the same pairs are distinct
     index, distinct = index[order], np.argsort(order)[distinct.reshape(-1)]
     return Pairs(
@@ -92,8 +92,19 @@ def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int6
     )
 
 
-def _fingerprints(table: FloatArray) -> NDArray[np.uint64]:
-    """Return a number for each row, the same for rows that agree to `_SAME`; others share one once in 10¹⁹ pairs."""
+def fingerprints(table: FloatArray) -> NDArray[np.uint64]:
+    """Return a number for each row, the same for rows that agree to 1e-9; others share one once in 10¹⁹ pairs.
+
+    Parameters
+    ----------
+    table : ndarray, shape (n, n_column)
+        Of numbers below 10⁹.
+
+    Returns
+    -------
+    mark : ndarray of uint64, shape (n,)
+        The numbers.
+    """
     whole = np.round(table / _SAME).astype(np.int64).view(np.uint64)
     odd = 2 * np.random.default_rng(_SEED).integers(0, 2**63, whole.shape[1], dtype=np.uint64) + 1
     factors = np.asarray(odd, dtype=np.uint64)
