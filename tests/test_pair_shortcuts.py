@@ -1,6 +1,7 @@
 """The shortcuts for the noise of many beams, against every pair with all its lags."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -53,6 +54,8 @@ FLOWS = {
     "isotropic": replace(SEED, length_scale=30.0, gamma=0.0),
 }
 
+SLOW = {("short eddies", "middle"), ("short eddies", "random"), ("short eddies", "probes")}  # all pairs are calculated
+
 
 def widths(scan, covariance, flow):
     """The widths of the six stresses, in least squares of ln y with the covariance ln(1 + K): what the beams tell."""
@@ -65,9 +68,11 @@ def widths(scan, covariance, flow):
 
 
 class TestAgainstEveryPair:
-    @pytest.mark.parametrize("scene", SCENES)
-    @pytest.mark.parametrize("flow", FLOWS)
-    def test_covariance_and_widths(self, scene, flow):
+    @pytest.mark.parametrize(
+        ("flow", "scene"),
+        [pytest.param(*both, marks=[pytest.mark.long] * (both in SLOW)) for both in product(FLOWS, SCENES)],
+    )
+    def test_covariance_and_widths(self, flow, scene):
         scan, options = SCENES[scene]
         short = theory_noise(scan, FLOWS[flow], **options)
         exact = theory_noise(scan, FLOWS[flow], **options, pair_tolerance=0.0)

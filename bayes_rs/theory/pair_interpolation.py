@@ -21,7 +21,7 @@ _MORE = 1.5  # of the pairs, when they do not suffice
 _EVENLY = 0.7  # share of the pairs that are chosen evenly in separation, the others by chance
 _WORTH = 0.5  # of all pairs: when so many are needed, all are calculated
 _SEED = 7
-_ROWS = 2000  # that are interpolated at a time
+_BLOCK = 50_000  # covariances between pairs at a time: their working arrays stay in the processor's cache
 
 
 class PairSample(NamedTuple):
@@ -204,10 +204,11 @@ class _Smooth:
 
     def at(self, places: FloatArray) -> FloatArray:
         """Return its values at other places."""
+        rows = max(1, _BLOCK // len(self.places))
         return np.concatenate(
             [
-                self.middle + _matern(places[start : start + _ROWS], self.places) @ self.weights
-                for start in range(0, len(places), _ROWS)
+                self.middle + _matern(places[start : start + rows], self.places) @ self.weights
+                for start in range(0, len(places), rows)
             ]
         )
 

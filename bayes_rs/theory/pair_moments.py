@@ -21,13 +21,13 @@ from bayes_rs.theory.probed import CHUNK, shortest_length
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
-PAIR_TOLERANCE = 0.005
-"""Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.25 %."""
+PAIR_TOLERANCE = 0.003
+"""Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.15 %."""
 
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
 _ROADS = ((0.25, 5e-3), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
-_CAUTION = 3.0  # the largest error of all pairs over that of the checked ones
+_CAUTION = 5.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}
 
 
@@ -41,7 +41,7 @@ class PairMoments(NamedTuple):
     trace : ndarray, shape (n_distinct,)
         E s² of those of a beam with itself, m² s⁻²; else not filled.
     error : float
-        Three times the largest error of an entry of K by shortcuts that was found, relative to the largest entry: only
+        Five times the largest error of an entry of K by shortcuts that was found, relative to the largest entry: only
         some entries are checked. 0 without shortcuts.
     about : dict
         What to report of the shortcuts.

@@ -11,6 +11,7 @@ from bayes_rs._validation import FloatArray
 
 STENCIL = 6
 """Points that a value is interpolated from."""
+_BLOCK = 10_000  # values at a time: their working arrays stay in the processor's cache
 _SCALES = [
     1.0 / math.prod(point - other for other in range(STENCIL) if other != point) for point in range(STENCIL)
 ]  # of Lagrange's polynomials
@@ -18,12 +19,16 @@ _SCALES = [
 
 def interpolate_rows(values: FloatArray, position: FloatArray) -> FloatArray:
     """Return rows of `values` (n, n_grid) at fractional positions of each row (n, n_position)."""
-    first, weights = _stencil_weights(position, values.shape[1])
-    offset = first + (values.shape[1] * np.arange(len(values)))[:, np.newaxis]
-    flat, total = values.ravel(), np.zeros_like(position)
-    for point, weight in enumerate(weights):
-        total += weight * flat[offset + point]
-    return total
+    count, flat, found = values.shape[1], values.ravel(), np.empty_like(position)
+    rows = max(1, _BLOCK // max(position.shape[1], 1))
+    for start in range(0, len(values), rows):
+        at, weights = _stencil_weights(position[start : start + rows], count)
+        at += (count * np.arange(start, start + len(at)))[:, np.newaxis]
+        total = np.multiply(weights[0], flat[at], out=found[start : start + rows])
+        for weight in weights[1:]:
+            at += 1
+            total += weight * flat[at]
+    return found
 
 
 def stencil(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
