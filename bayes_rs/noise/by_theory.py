@@ -68,7 +68,8 @@ def theory_noise(
         Beams are taken for points if the probe volume takes no more than this part of any beam's variance.
     pair_tolerance : float
         Largest relative error of K (Frobenius) that the shortcuts for many beams may make: 0.003 changes the width of
-        an interval by 0.15 % as a rule (docs/noise.md). 0 for no shortcut: every pair of beams, with all its lags (`pair_moments`).
+        an interval by 0.15 % as a rule (docs/noise.md). 0 for no shortcut: every pair of beams, with all its lags
+        (`pair_moments`).
     sonic : bool
         Add the joint moments with the stresses of a sonic (`sonic_moments`), for the target ``"sonic"``.
     sonic_position : array_like, shape (3,)

@@ -19,7 +19,7 @@ _FIRST, _MOST = 200, 3200  # pairs that are calculated at first, and at most
 _N_TEST, _N_NEAR = 64, 24  # pairs to tell the error: by chance, and evenly in separation for the largest
 _MORE = 1.5  # of the pairs, when they do not suffice
 _EVENLY = 0.7  # share of the pairs that are chosen evenly in separation, the others by chance
-_WORTH = 0.5  # of all pairs: when so many are needed, all are calculated
+_WORTH = 0.8  # of all pairs: when so many are needed, all are calculated
 _SEED = 7
 _BLOCK = 50_000  # covariances between pairs at a time: their working arrays stay in the processor's cache
 
@@ -146,7 +146,7 @@ def interpolate_pairs(
     process with Matérn's covariance of order 5/2 in the features, given the pairs that are calculated: these are chosen
     evenly in separation across the wind and by chance, the same at all wind speeds, whose lines are then at hand.
     Others, chosen by chance, tell the error. While that is above the tolerance, half as many more are calculated; all
-    of them when half do not suffice.
+    of them when four in five do not suffice.
     """
     n, scaled = len(apart), features / _SCALE
     chance = np.random.default_rng(_SEED).permutation(n)
