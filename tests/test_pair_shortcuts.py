@@ -1,6 +1,7 @@
 """The shortcuts for the noise of many beams, against every pair with all its lags."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -53,6 +54,8 @@ FLOWS = {
     "isotropic": replace(SEED, length_scale=30.0, gamma=0.0),
 }
 
+SLOW = {("short eddies", "middle"), ("short eddies", "random"), ("short eddies", "probes")}  # all pairs are calculated
+
 
 def widths(scan, covariance, flow):
     """The widths of the six stresses, in least squares of ln y with the covariance ln(1 + K): what the beams tell."""
@@ -65,9 +68,11 @@ def widths(scan, covariance, flow):
 
 
 class TestAgainstEveryPair:
-    @pytest.mark.parametrize("scene", SCENES)
-    @pytest.mark.parametrize("flow", FLOWS)
-    def test_covariance_and_widths(self, scene, flow):
+    @pytest.mark.parametrize(
+        ("flow", "scene"),
+        [pytest.param(*both, marks=[pytest.mark.long] * (both in SLOW)) for both in product(FLOWS, SCENES)],
+    )
+    def test_covariance_and_widths(self, flow, scene):
         scan, options = SCENES[scene]
         short = theory_noise(scan, FLOWS[flow], **options)
         exact = theory_noise(scan, FLOWS[flow], **options, pair_tolerance=0.0)
@@ -168,7 +173,7 @@ class TestInterpolation:
         )
 
     def test_a_smooth_function_takes_few(self):
-        features, apart = self.scene()
+        features, apart, aside = self.scene()
         truth = np.exp(0.01 * (features[:, 0] + features[:, 1]) + 0.02 * features[:, 5])
         asked = []
 
@@ -176,16 +181,16 @@ class TestInterpolation:
             asked.extend(index.tolist())
             return truth[index]
 
-        found = interpolate_pairs(features, apart, np.ones(len(apart)), np.ones(len(apart)), calculate, 0.02)
+        found = interpolate_pairs(features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), calculate, 0.02)
         assert found.n_calculated == len(asked) == len(set(asked)) < 0.6 * len(apart)
         assert found.error < 0.02
         np.testing.assert_allclose(found.values, truth, rtol=0.1)
 
     def test_a_rough_one_is_calculated_for_all(self):
-        features, apart = self.scene()
+        features, apart, aside = self.scene()
         truth = np.exp(np.random.default_rng(0).normal(size=len(apart)))
         found = interpolate_pairs(
-            features, apart, np.ones(len(apart)), np.ones(len(apart)), lambda index: truth[index], 1e-3
+            features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), lambda index: truth[index], 1e-3
         )
         np.testing.assert_array_equal(found.values, truth)
         assert found.n_calculated == len(truth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray, check_finite, check_non_negative, check_positive, check_switch
 from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.geometry.forward import design_matrix
-from bayes_rs.geometry.probe import PROBE_ERROR, PointProbe
+from bayes_rs.geometry.probe import PROBE_ERROR, PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
+from bayes_rs.processor import one_thread
 from bayes_rs.theory.pair_moments import PAIR_TOLERANCE, pair_moments
 from bayes_rs.theory.pairs import distinct_pairs
 from bayes_rs.theory.probed import probe_transfer
@@ -65,8 +67,9 @@ def theory_noise(
     probe_tolerance : float
         Beams are taken for points if the probe volume takes no more than this part of any beam's variance.
     pair_tolerance : float
-        Largest relative error of K (Frobenius) that the shortcuts for many beams may make: 0.005 changes the width of
-        an interval by 0.25 %. 0 for no shortcut: every pair of beams, with all its lags (`pair_moments`).
+        Largest relative error of K (Frobenius) that the shortcuts for many beams may make: 0.003 changes the width of
+        an interval by 0.15 % as a rule (docs/noise.md). 0 for no shortcut: every pair of beams, with all its lags
+        (`pair_moments`).
     sonic : bool
         Add the joint moments with the stresses of a sonic (`sonic_moments`), for the target ``"sonic"``.
     sonic_position : array_like, shape (3,)
@@ -201,12 +204,27 @@ def _apply_probe(
     rows = design_matrix(line_of_sight)
     if isinstance(scan.probe, PointProbe):
         return scan, {}, rows
-    transfer, filtered = probe_transfer(line_of_sight, scan.probe_length, scan.probe, turbulence, tolerance=tolerance)
+    flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
+    transfer, filtered = _transfer(line_of_sight.tobytes(), scan.probe_length.tobytes(), scan.probe, flow, tolerance)
     loss = float(np.max(1.0 - np.sum(rows * filtered, axis=-1) / (rows @ turbulence.stresses())))
     about = {"probe": scan.probe.kind, "probe_loss": loss}
     if loss <= probe_tolerance:
         return replace(scan, probe=PointProbe()), {**about, "probe_as_points": True}, rows
     return scan, {**about, "probe_as_points": False}, rows * transfer
+
+
+@lru_cache(maxsize=16)  # of one direction and flow: they are those of all wind speeds
+@one_thread()
+def _transfer(
+    line_of_sight: bytes, lengths: bytes, probe: Probe, flow: tuple[float, float, float], tolerance: float
+) -> tuple[FloatArray, FloatArray]:
+    found = probe_transfer(
+        np.frombuffer(line_of_sight).reshape(-1, 3), np.frombuffer(lengths), probe, MannTurbulence(*flow),
+        tolerance=tolerance,
+    )  # fmt: skip
+    for part in found:
+        part.flags.writeable = False
+    return found
 
 
 def _record_stresses(
@@ -218,20 +236,30 @@ def _record_stresses(
     tolerance: float,
 ) -> FloatArray:
     """Return the expected stresses of a record at one point, sampled as each beam is, shape (n_beam, 6), m² s⁻²."""
-    axes, pair = np.eye(3), np.array(INDEX_PAIRS)
     record = np.empty((scan.n_beam, len(STRESSES)))
+    flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
     for size in np.unique(count).tolist():
-        lag = wind_speed * scan.scan_duration * np.arange(-(size - 1), size)
-        own = radial_covariance(
-            axes[pair[:, 0]],
-            axes[pair[:, 1]],
-            np.zeros((len(pair), 2)),
-            np.broadcast_to(lag, (len(pair), len(lag))),
-            turbulence,
-            tolerance=tolerance,
-        )
-        record[count == size] = toeplitz_trace(own, size, detrend=detrend) / size
+        record[count == size] = _sampled_stresses(flow, size, wind_speed * scan.scan_duration, detrend, tolerance)
     return record
+
+
+@lru_cache(maxsize=4096)  # they are those of all directions
+@one_thread()
+def _sampled_stresses(
+    flow: tuple[float, float, float], size: int, step: float, detrend: str, tolerance: float
+) -> FloatArray:
+    axes, pair = np.eye(3), np.array(INDEX_PAIRS)
+    own = radial_covariance(
+        axes[pair[:, 0]],
+        axes[pair[:, 1]],
+        np.zeros((len(pair), 2)),
+        np.broadcast_to(step * np.arange(-(size - 1), size), (len(pair), 2 * size - 1)),
+        MannTurbulence(*flow),
+        tolerance=tolerance,
+    )
+    stresses = np.asarray(toeplitz_trace(own, size, detrend=detrend) / size)
+    stresses.flags.writeable = False
+    return stresses
 
 
 def _covariance_error(relative: FloatArray, mean: FloatArray, velocity_error: float) -> float:

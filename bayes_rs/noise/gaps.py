@@ -12,9 +12,10 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.theory.kept_lines import kept_covariance
 from bayes_rs.theory.lag_nodes import lag_nodes
 from bayes_rs.theory.pairs import FEW
-from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.theory.probed import shortest_length
 from bayes_rs.theory.sampling_times import samples_removed, samples_that_fit
 from bayes_rs.turbulence.interpolation import nearest_semidefinite
 from bayes_rs.turbulence.mann import MannTurbulence
@@ -115,7 +116,7 @@ def gap_noise(
     inner, trace = np.empty(len(row)), np.full(scan.n_beam, np.nan)
     for part in np.array_split(np.arange(len(row)), int(np.ceil(len(row) * len(lag) / _CHUNK))):
         first, second = row[part], column[part]
-        covariance = probed_covariance(
+        covariance = kept_covariance(
             line_of_sight[first],
             line_of_sight[second],
             apart[part, 1:],
@@ -123,6 +124,7 @@ def gap_noise(
             turbulence,
             probe=scan.probe,
             lengths=np.stack([lengths[first], lengths[second]], axis=-1),
+            shortest=shortest_length(lengths),
             tolerance=tolerance,
         )
         if len(nodes.lag) < len(lag):

@@ -15,15 +15,17 @@ import numpy as np
 from bayes_rs._validation import FloatArray, check_array, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.noise.at_states import noise_key, theory_at_states
+from bayes_rs.noise.at_states import noise_key
+from bayes_rs.noise.flow_theory import FlowTheory
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import cache_folder, from_cache, renamed, to_cache, with_details
 from bayes_rs.noise.turned import Turn, find_turn
 from bayes_rs.simulation.virtual import RecordState
+from bayes_rs.theory.kept_lines import many_speeds
 from bayes_rs.turbulence.interpolation import find_net, interpolate_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 
-BANK_VERSION = 3
+BANK_VERSION = 4
 """Counts the changes of this module that change its numbers."""
 
 TOLERANCE = 0.01
@@ -144,11 +146,12 @@ def refined_noise(
         found, _ = from_cache(file, key)
         if found is not None:
             return renamed(found, scan, turbulence)
-    theory = _Theory(some, turbulence, duration, progress, sonic=sonic, turn=turn)
-    axes, errors = _refined(theory, axis_kinds, ranges, tolerance)
-    if count < scan.n_beam:
-        theory = _Theory(scan, turbulence, duration, progress, sonic=sonic)
-    states = theory.states(_points(axes))
+    with many_speeds():
+        theory = FlowTheory(some, turbulence, duration, progress, sonic=sonic, turn=turn)
+        axes, errors = _refined(theory, axis_kinds, ranges, tolerance)
+        if count < scan.n_beam:
+            theory = FlowTheory(scan, turbulence, duration, progress, sonic=sonic)
+        states = theory.states(_points(axes))
     noise = with_details(
         Noise.join(states),
         interpolation_error=float(np.max(errors)),
@@ -190,71 +193,15 @@ def measure_interpolation(noise: Noise, scan: Scan, *, progress: bool | None = N
         raise InputError("The states of this noise form no net, so nothing is interpolated between them.")
     axes = [noise.net.axes[0], np.rad2deg(noise.net.axes[1]), noise.net.axes[2], noise.net.axes[3]]
     middle = _points(_middles(axes))
-    truth = _Theory(scan, noise.turbulence, noise.duration, progress).covariances(middle)
+    truth = FlowTheory(scan, noise.turbulence, noise.duration, progress).covariances(middle)
     between = noise.for_records(
         np.exp(middle[:, 0]), np.deg2rad(middle[:, 1]), length_scale=np.exp(middle[:, 2]), gamma=middle[:, 3]
     )
     return float(np.max(_distance(between.covariance, truth)))
 
 
-class _Theory:
-    """The noise by theory at points (ln U, yaw in degrees, ln L, Γ), each computed once."""
-
-    def __init__(
-        self,
-        scan: Scan,
-        turbulence: MannTurbulence,
-        duration: float,
-        progress: bool | None,
-        *,
-        sonic: bool = False,
-        turn: Turn | None = None,
-    ) -> None:
-        self.scan, self.turbulence, self.duration, self.progress = scan, turbulence, duration, progress
-        self.sonic, self.turn = sonic, turn
-        self.known: dict[tuple[float, ...], Noise] = {}
-        self.turned: dict[tuple[float, ...], Noise] = {}
-
-    def states(self, points: FloatArray) -> list[Noise]:
-        """Return the noise at points, shape (n, 4)."""
-        if self.turn is None:
-            return self._direct(points)
-        names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
-        missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.turned}
-        split = [self.turn.split(float(point[1])) for point in missing.values()]
-        from_zero = [[point[0], rest, *point[2:]] for point, (rest, _) in zip(missing.values(), split, strict=True)]
-        for name, (_, steps), noise in zip(missing, split, self._direct(np.array(from_zero)), strict=True):
-            self.turned[name] = self.turn.apply(noise, steps, name[1])
-        return [self.turned[name] for name in names]
-
-    def _direct(self, points: FloatArray) -> list[Noise]:
-        names = [tuple(float(value) for value in np.round(point, 9)) for point in points]
-        missing = {name: point for name, point in zip(names, points, strict=True) if name not in self.known}
-        for flow in sorted({name[2:] for name in missing}):
-            group = {name: point for name, point in missing.items() if name[2:] == flow}
-            states = [self._state(point) for point in group.values()]
-            made = theory_at_states(states, self._flow(flow), sonic=self.sonic, progress=self.progress)
-            self.known.update(zip(group, made, strict=True))
-        return [self.known[name] for name in names]
-
-    def covariances(self, points: FloatArray) -> FloatArray:
-        """Return K at points, shape (n, n_beam, n_beam); with a sonic the joint covariance, six rows larger."""
-        return np.concatenate([n.joint_covariance if self.sonic else n.covariance for n in self.states(points)])
-
-    def _state(self, point: FloatArray) -> RecordState:
-        return RecordState(
-            self.scan, round(float(np.exp(point[0])), 9), float(np.deg2rad(round(float(point[1]), 9))), self.duration
-        )
-
-    def _flow(self, flow: tuple[float, ...]) -> MannTurbulence:
-        length_scale, gamma = float(np.exp(flow[0])), flow[1]
-        if abs(length_scale - self.turbulence.length_scale) <= 1e-6 and abs(gamma - self.turbulence.gamma) <= 1e-9:
-            return self.turbulence
-        return replace(self.turbulence, length_scale=round(length_scale, 6), gamma=gamma)
-
-
 def _refined(
-    theory: _Theory, kinds: tuple[_Axis, ...], ranges: list[FloatArray], tolerance: float
+    theory: FlowTheory, kinds: tuple[_Axis, ...], ranges: list[FloatArray], tolerance: float
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return the axes of the coarsest net that keeps the tolerance, and its error in the middle of each cell."""
     halvings = [0] * len(kinds)
@@ -281,7 +228,7 @@ def _refined(
         halvings[worst] += 1
 
 
-def _errors(theory: _Theory, axes: list[FloatArray], points: FloatArray) -> FloatArray:
+def _errors(theory: FlowTheory, axes: list[FloatArray], points: FloatArray) -> FloatArray:
     """Return the relative error of K that a net has at points."""
     nodes = _points(axes)
     net = find_net(nodes)

@@ -19,9 +19,9 @@ _FIRST, _MOST = 200, 3200  # pairs that are calculated at first, and at most
 _N_TEST, _N_NEAR = 64, 24  # pairs to tell the error: by chance, and evenly in separation for the largest
 _MORE = 1.5  # of the pairs, when they do not suffice
 _EVENLY = 0.7  # share of the pairs that are chosen evenly in separation, the others by chance
-_WORTH = 0.5  # of all pairs: when so many are needed, all are calculated
+_WORTH = 0.8  # of all pairs: when so many are needed, all are calculated
 _SEED = 7
-_ROWS = 2000  # that are interpolated at a time
+_BLOCK = 50_000  # covariances between pairs at a time: their working arrays stay in the processor's cache
 
 
 class PairSample(NamedTuple):
@@ -55,7 +55,7 @@ def pair_features(
     *,
     step: float,
     length_scale: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return coordinates of pairs of beams in which their moments are smooth, and how far they are apart.
 
     Parameters
@@ -80,6 +80,8 @@ def pair_features(
         lengths where they are not all the same.
     apart : ndarray, shape (n,)
         Separation, in the unit in which it counts.
+    aside : ndarray, shape (n,)
+        The same across the wind only: the same at all wind speeds.
 
     Notes
     -----
@@ -101,12 +103,14 @@ def pair_features(
     ]
     if np.ptp(lengths) > 0.0:
         parts.append(np.log(lengths + _CORE_OF_L * length_scale) / _LENGTH)
-    return np.column_stack(parts), np.arcsinh(apart / core)[:, 0]
+    aside = np.linalg.norm(across, axis=1, keepdims=True)
+    return np.column_stack(parts), np.arcsinh(apart / core)[:, 0], np.arcsinh(aside / core)[:, 0]
 
 
 def interpolate_pairs(
     features: FloatArray,
     apart: FloatArray,
+    aside: FloatArray,
     of_points: FloatArray,
     size: FloatArray,
     calculate: Callable[[NDArray[np.int64]], FloatArray],
@@ -120,6 +124,8 @@ def interpolate_pairs(
         Where the pairs are.
     apart : ndarray, shape (n,)
         How far apart the beams of each are.
+    aside : ndarray, shape (n,)
+        The same across the wind only.
     of_points : ndarray, shape (n,)
         The values that the same beams would have without probe volumes.
     size : ndarray, shape (n,)
@@ -138,8 +144,9 @@ def interpolate_pairs(
     -----
     The logarithm of the values, or of their ratio to those of points, whichever is better, is the mean of a Gaussian
     process with Matérn's covariance of order 5/2 in the features, given the pairs that are calculated: these are chosen
-    evenly in separation and by chance, always the same. Others, chosen by chance, tell the error. While that is above
-    the tolerance, half as many more are calculated; all of them when half do not suffice.
+    evenly in separation across the wind and by chance, the same at all wind speeds, whose lines are then at hand.
+    Others, chosen by chance, tell the error. While that is above the tolerance, half as many more are calculated; all
+    of them when four in five do not suffice.
     """
     n, scaled = len(apart), features / _SCALE
     chance = np.random.default_rng(_SEED).permutation(n)
@@ -151,10 +158,11 @@ def interpolate_pairs(
             known[new] = calculate(new)
 
     starts = (of_points, np.ones(n))
+    order = np.argsort(aside, kind="stable")
     test, count = np.append(chance[:_N_TEST], spread_pairs(apart, _N_NEAR)), _FIRST
     others = chance[~np.isin(chance, test)]
     while count <= min(_WORTH * n, _MOST):
-        evenly = np.setdiff1d(spread_pairs(apart, int(_EVENLY * count)), test)
+        evenly = np.setdiff1d(_evenly(aside[order], order, int(_EVENLY * count)), test)
         chosen = np.union1d(evenly, others[: count - len(evenly)])
         know(np.union1d(chosen, test))
         fields = [_Smooth(scaled[chosen], np.log(known[chosen] / start[chosen])) for start in starts]
@@ -177,8 +185,12 @@ def interpolate_pairs(
 def spread_pairs(apart: FloatArray, count: int) -> NDArray[np.int64]:
     """Return the numbers of about `count` pairs that are evenly spread over their separations, ascending."""
     order = np.argsort(apart, kind="stable")
-    even = np.linspace(apart[order[0]], apart[order[-1]], count)
-    return np.unique(order[np.clip(np.searchsorted(apart[order], even), 0, len(apart) - 1)])
+    return _evenly(apart[order], order, count)
+
+
+def _evenly(ascending: FloatArray, order: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    even = np.linspace(ascending[0], ascending[-1], count)
+    return np.unique(order[np.clip(np.searchsorted(ascending, even), 0, len(order) - 1)])
 
 
 class _Smooth:
@@ -192,10 +204,11 @@ class _Smooth:
 
     def at(self, places: FloatArray) -> FloatArray:
         """Return its values at other places."""
+        rows = max(1, _BLOCK // len(self.places))
         return np.concatenate(
             [
-                self.middle + _matern(places[start : start + _ROWS], self.places) @ self.weights
-                for start in range(0, len(places), _ROWS)
+                self.middle + _matern(places[start : start + rows], self.places) @ self.weights
+                for start in range(0, len(places), rows)
             ]
         )
 

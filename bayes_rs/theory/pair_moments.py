@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,20 +13,21 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.processor import one_thread
+from bayes_rs.theory.kept_lines import kept_covariance
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.pair_interpolation import PairSample, interpolate_pairs, pair_features, spread_pairs
 from bayes_rs.theory.pairs import FEW, Pairs
-from bayes_rs.theory.probed import CHUNK, probed_covariance
+from bayes_rs.theory.probed import CHUNK, shortest_length
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
-PAIR_TOLERANCE = 0.005
-"""Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.25 %."""
+PAIR_TOLERANCE = 0.003
+"""Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.15 %."""
 
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
 _ROADS = ((0.25, 5e-3), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
-_CAUTION = 3.0  # the largest error of all pairs over that of the checked ones
+_CAUTION = 5.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}
 
 
@@ -39,7 +41,7 @@ class PairMoments(NamedTuple):
     trace : ndarray, shape (n_distinct,)
         E s² of those of a beam with itself, m² s⁻²; else not filled.
     error : float
-        Three times the largest error of an entry of K by shortcuts that was found, relative to the largest entry: only
+        Five times the largest error of an entry of K by shortcuts that was found, relative to the largest entry: only
         some entries are checked. 0 without shortcuts.
     about : dict
         What to report of the shortcuts.
@@ -67,18 +69,24 @@ class _Record:
         """How far the wind goes in a sampling interval, m."""
         return self.wind_speed * self.scan.scan_duration
 
+    @cached_property
+    def shortest(self) -> float:
+        """The shortest probe volume, m; 0 of points."""
+        return shortest_length(self.scan.probe_length)
+
     def groups(self, index: NDArray[np.int64]) -> list[tuple[int, int, NDArray[np.int64]]]:
         """Return the pairs by their numbers of samples."""
-        found, of = np.unique(self.pairs.samples[index], axis=0, return_inverse=True)
-        of = of.reshape(-1)
-        return [(int(n[0]), int(n[1]), index[of == number]) for number, n in enumerate(found)]
+        first, second = self.pairs.samples[index].T
+        both = np.max(self.pairs.samples) + 1
+        found, of = np.unique(first * both + second, return_inverse=True)
+        return [(int(n // both), int(n % both), index[of == number]) for number, n in enumerate(found)]
 
     def covariance(
         self, part: NDArray[np.int64], lag: NDArray[np.int64], tolerance: float, *, points: bool = False
     ) -> FloatArray:
         """Return the covariances of pairs at lags, as they are or as those of points."""
         pairs = self.pairs
-        return probed_covariance(
+        return kept_covariance(
             pairs.first[part],
             pairs.second[part],
             pairs.across[part],
@@ -86,6 +94,7 @@ class _Record:
             self.turbulence,
             probe=self.scan.probe,
             lengths=np.zeros_like(pairs.lengths[part]) if points else pairs.lengths[part],
+            shortest=self.shortest,
             tolerance=tolerance,
         )
 
@@ -230,7 +239,7 @@ def _interpolated(
 ) -> PairSample:
     """Return the moments of pairs of beams with probes, most of them interpolated."""
     pairs = record.pairs
-    features, apart = pair_features(
+    features, apart, aside = pair_features(
         pairs.first[rest],
         pairs.second[rest],
         pairs.across[rest],
@@ -239,7 +248,7 @@ def _interpolated(
         step=record.step,
         length_scale=record.turbulence.length_scale,
     )
-    return interpolate_pairs(features, apart, of_points, size, calculate, 0.8 * pair_tolerance)
+    return interpolate_pairs(features, apart, aside, of_points, size, calculate, 0.8 * pair_tolerance)
 
 
 def _relative(off: FloatArray, values: FloatArray) -> float:

@@ -11,6 +11,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.sizes import check_size, check_work
 
+_SEED = 11
 _SAME = 1e-9  # pairs whose separations (m) and directions agree to this are computed once
 
 
@@ -74,11 +75,13 @@ def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int6
     lengths = np.stack([scan.probe_length[row], scan.probe_length[column]], axis=-1)
     own = (row == column)[:, np.newaxis]
     table = np.concatenate([mirror * apart, mirror * first, mirror * second, samples, own, lengths], axis=1)
-    _, index, distinct = np.unique(np.round(table / _SAME) + 0.0, axis=0, return_index=True, return_inverse=True)
+    _, index, distinct = np.unique(fingerprints(table), return_index=True, return_inverse=True)
+    order = np.argsort(index)  # as they come: the same at all wind speeds, as far as the same pairs are distinct
+    index, distinct = index[order], np.argsort(order)[distinct.reshape(-1)]
     return Pairs(
         row=row,
         column=column,
-        distinct=distinct.reshape(-1),
+        distinct=distinct,
         first=table[index, 3:6],
         second=table[index, 6:9],
         across=table[index, 1:3],
@@ -87,3 +90,26 @@ def distinct_pairs(scan: Scan, line_of_sight: FloatArray, count: NDArray[np.int6
         samples=samples[index],
         own=(row == column)[index],
     )
+
+
+def fingerprints(table: FloatArray) -> NDArray[np.uint64]:
+    """Return a number for each row, the same for rows that agree to 1e-9; others share one once in 10¹⁹ pairs.
+
+    Parameters
+    ----------
+    table : ndarray, shape (n, n_column)
+        Of numbers below 10⁹.
+
+    Returns
+    -------
+    mark : ndarray of uint64, shape (n,)
+        The numbers.
+    """
+    whole = np.round(table / _SAME).astype(np.int64).view(np.uint64)
+    odd = 2 * np.random.default_rng(_SEED).integers(0, 2**63, whole.shape[1], dtype=np.uint64) + 1
+    factors = np.asarray(odd, dtype=np.uint64)
+    mixed = np.zeros(len(whole), dtype=np.uint64)
+    for column, factor in zip(whole.T, factors, strict=True):
+        mixed = (mixed ^ (column * factor)) * factor
+        mixed ^= mixed >> np.uint64(29)
+    return mixed

@@ -14,10 +14,13 @@ from bayes_rs.turbulence.two_point import INDEX_PAIRS, radial_covariance, veloci
 CHUNK = 1_500_000
 """Covariances held at a time: some 100 MiB of working arrays."""
 _PARALLEL = 1e-6  # beams at a smaller angle (rad) look along one line
-_CORE, _CORE_OF_PROBE = 0.01, 0.1  # of L and of the probe: separations below are interpolated as evenly as at it
+CORE = 0.01
+"""Of L: separations below are interpolated as evenly as at it."""
+_CORE_OF_PROBE = 0.1  # the same of the probe, added to it
 _FARTHEST = 50.0  # L: nodes of a probe farther out may be left out, since covariances are below 1 % of uu there ...
 _LEAST_WEIGHT = 2e-3  # ... if all of them together weigh less than this
-_LAG_STEP = 0.2  # of the separations at which covariances of probed beams are calculated, in asinh(separation / core)
+LAG_STEP = 0.2
+"""Step of the separations at which covariances of probed beams are calculated, in asinh(separation / core)."""
 
 
 def probed_covariance(
@@ -81,6 +84,77 @@ def probed_covariance(
     """
     if not np.any(lengths > 0.0):
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
+    core = grid_core(shortest_length(lengths), turbulence)
+    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / LAG_STEP)) + STENCIL // 2
+    if 2 * half + 1 >= along.shape[1]:
+        return by_rules(first, second, across, along, turbulence, probe, lengths, tolerance)
+    grid = core * np.sinh(LAG_STEP * np.arange(-half, half + 1))
+    lines = by_rules(
+        first, second, across, np.broadcast_to(grid, (len(along), len(grid))), turbulence, probe, lengths, tolerance
+    )
+    return interpolate_rows(lines, np.arcsinh(along / core) / LAG_STEP + half)
+
+
+def shortest_length(lengths: FloatArray) -> float:
+    """Return the shortest of some probe volumes, m, points left out; 0 if all are points.
+
+    Parameters
+    ----------
+    lengths : ndarray
+        `Probe.length` of the beams, m.
+
+    Returns
+    -------
+    shortest : float
+        In metres.
+    """
+    return float(np.min(lengths[lengths > 0.0], initial=np.inf)) if np.any(lengths > 0.0) else 0.0
+
+
+def grid_core(shortest: float, turbulence: MannTurbulence) -> float:
+    """Return the separation below which those of the grid along the wind are even.
+
+    Parameters
+    ----------
+    shortest : float
+        The shortest probe volume, m.
+    turbulence : MannTurbulence
+        The turbulence.
+
+    Returns
+    -------
+    core : float
+        In metres.
+    """
+    return CORE * turbulence.length_scale + _CORE_OF_PROBE * shortest
+
+
+def by_rules(
+    first: FloatArray,
+    second: FloatArray,
+    across: FloatArray,
+    along: FloatArray,
+    turbulence: MannTurbulence,
+    probe: Probe,
+    lengths: FloatArray,
+    tolerance: float,
+    *,
+    shortest: float | None = None,
+) -> FloatArray:
+    """Return the covariances of beams with probe volumes by the rules of their kinds of pairs.
+
+    Parameters
+    ----------
+    first, second, across, along, turbulence, probe, lengths, tolerance
+        As for `probed_covariance`; each separation is calculated.
+    shortest : float, optional
+        The shortest probe volume that decides which far nodes are left out, m; by default that of each kind of pairs.
+
+    Returns
+    -------
+    covariance : ndarray, shape (n, n_lag)
+        m² s⁻².
+    """
     facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
     towards = facing * first
     one = np.min(lengths, axis=-1) <= 0.0
@@ -96,35 +170,27 @@ def probed_covariance(
             (~one & ~parallel & ~wide & (fineness == fine), probe.pair_rule(fineness=fine)),
             (wide & (fineness == fine), probe.pair_rule(wide=True, fineness=fine)),
         ]
-    core = _CORE * turbulence.length_scale + _CORE_OF_PROBE * float(np.min(lengths[lengths > 0.0]))
-    half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / _LAG_STEP)) + STENCIL // 2
-    sparse = 2 * half + 1 < along.shape[1]
-    grid = core * np.sinh(_LAG_STEP * np.arange(-half, half + 1))
-    out = np.empty(along.shape)
+    n_lag, out = along.shape[1], np.empty(along.shape)
     for members, full_rule in kinds:
         index = np.flatnonzero(members)
         if len(index) == 0:
             continue
-        rule = _within(full_rule, lengths[index], turbulence.length_scale)
-        n_lag, n_node = len(grid) if sparse else along.shape[1], len(rule.weight)
+        rule = _within(full_rule, lengths[index] if shortest is None else np.array([shortest]), turbulence.length_scale)
+        n_node = len(rule.weight)
         for part in np.array_split(index, int(np.ceil(len(index) * n_node * n_lag / CHUNK))):
             a, b = lengths[part, :1] * towards[part], lengths[part, 1:] * second[part]
             shift = rule.difference[:, np.newaxis] * (0.5 * (a + b))[:, np.newaxis]
             shift += rule.mean[:, np.newaxis] * (b - a)[:, np.newaxis]
             rows = np.repeat(part, n_node)
-            x = np.broadcast_to(grid, (len(part), n_lag)) if sparse else along[part]
             covariance = radial_covariance(
                 first[rows],
                 second[rows],
                 (across[part, np.newaxis] + shift[..., 1:]).reshape(-1, 2),
-                (x[:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
+                (along[part][:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
                 turbulence,
                 tolerance=tolerance,
             )
-            summed = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
-            out[part] = (
-                interpolate_rows(summed, np.arcsinh(along[part] / core) / _LAG_STEP + half) if sparse else summed
-            )
+            out[part] = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
     return out
 
 

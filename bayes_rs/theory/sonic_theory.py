@@ -12,7 +12,8 @@ from bayes_rs._validation import FloatArray, check_array, check_finite, check_po
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.geometry.stress import STRESSES, rotate_stress, unpack_stress
-from bayes_rs.theory.probed import CHUNK, probed_covariance
+from bayes_rs.theory.kept_lines import kept_covariance
+from bayes_rs.theory.probed import CHUNK, shortest_length
 from bayes_rs.theory.sampling_times import sample_counts, samples_that_fit
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
@@ -97,13 +98,13 @@ def sonic_moments(
     n = int(samples_that_fit(duration, scan.scan_duration))
     apart = place - line_of_sight * scan.focus_distance[:, np.newaxis]
     apart[:, 0] += wind_speed * scan.beam_time
-    axes = np.eye(3)
+    axes, shortest = np.eye(3), shortest_length(scan.probe_length)
 
     def covariances(vectors: FloatArray, separation: FloatArray, lengths: FloatArray, n_own: int) -> FloatArray:
         """Covariances of radial velocities with u, v and w of the sonic, shape (n_vector, 3, n_lag)."""
         lag = wind_speed * scan.scan_duration * np.arange(-(n_own - 1), n)
         rows = np.repeat(np.arange(len(vectors)), 3)
-        flat = probed_covariance(
+        flat = kept_covariance(
             vectors[rows],
             np.tile(axes, (len(vectors), 1)),
             separation[rows, 1:],
@@ -111,6 +112,7 @@ def sonic_moments(
             turbulence,
             probe=scan.probe,
             lengths=np.stack([lengths[rows], np.zeros(len(rows))], axis=-1),
+            shortest=shortest,
             tolerance=tolerance,
         )
         return flat.reshape(len(vectors), 3, -1)

@@ -34,10 +34,32 @@ _LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
 
 @lru_cache(maxsize=1)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _correlation_spline() -> scipy.interpolate.CubicSpline:
+def _correlation_spline() -> FloatArray:
+    """Return the polynomials of a cubic spline of f − g and g, their highest powers first, shape (n_piece, 2, 4)."""
     log_r = np.linspace(_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION)
     f, g = isotropic_correlation(np.exp(log_r))
-    return scipy.interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
+    spline = scipy.interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
+    return np.ascontiguousarray(spline.c.transpose(1, 2, 0))
+
+
+def _correlations(log_r: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return f − g and g from the spline, up to its end; zero beyond."""
+    step = (_LOG_FARTHEST - _LOG_NEAREST) / (_N_CORRELATION - 1)
+    past = log_r - _LOG_NEAREST
+    piece = np.clip((past * (1.0 / step)).astype(np.int32), 0, _N_CORRELATION - 2)
+    past -= step * piece
+    cubes = _correlation_spline()[piece]
+    beyond = log_r > _LOG_FARTHEST
+    values = []
+    for component in range(2):
+        value = cubes[..., component, 0] * past
+        for power in (1, 2):
+            value += cubes[..., component, power]
+            value *= past
+        value += cubes[..., component, 3]
+        value[beyond] = 0.0
+        values.append(value)
+    return values[0], values[1]
 
 
 def isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray) -> FloatArray:
@@ -45,15 +67,14 @@ def isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, 
     square = along * along + np.sum(across * across, axis=-1, keepdims=True)
     near = square < np.exp(2.0 * _LOG_NEAREST)  # outside the spline: evaluated directly
     log_r = 0.5 * np.log(np.where(near, 1.0, square))
-    both = np.where(
-        (log_r > _LOG_FARTHEST)[..., np.newaxis], 0.0, _correlation_spline()(np.minimum(log_r, _LOG_FARTHEST))
-    )
-    f, g = isotropic_correlation(np.sqrt(square[near]))
-    both[near] = np.stack([f - g, g], axis=-1)
+    difference, lateral = _correlations(log_r)
+    if np.any(near):
+        f, g = isotropic_correlation(np.sqrt(square[near]))
+        difference[near], lateral[near] = f - g, g
     towards = first[:, :1] * along + np.sum(first[:, 1:] * across, axis=-1, keepdims=True)
     towards *= second[:, :1] * along + np.sum(second[:, 1:] * across, axis=-1, keepdims=True)
     towards /= np.where(square > 0.0, square, 1.0)
-    return np.asarray(both[..., 0] * towards + both[..., 1] * np.sum(first * second, axis=-1, keepdims=True))
+    return np.asarray(difference * towards + lateral * np.sum(first * second, axis=-1, keepdims=True))
 
 
 def isotropic_covariance(separation: FloatArray) -> FloatArray:

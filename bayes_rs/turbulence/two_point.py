@@ -26,6 +26,7 @@ INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """The two indices of each of the six stresses."""
 _ODD_IN_K2 = (STRESSES.index("uv"), STRESSES.index("vw"))
 _CORE = 0.01  # L: separations below it are interpolated as evenly as at it
+_BLOCK = 60_000  # covariances at a time: their working arrays stay in the processor's cache
 _LEAST_REACH = (256.0, 4.0)  # L, along and across: a table reaches at least so far, and then to powers of four
 # exponents that make both transforms decay at both ends; results do not depend on them
 _BIAS_ACROSS, _BIAS_ALONG = 0.3, 0.5
@@ -199,8 +200,12 @@ def radial_covariance(
     weights = np.stack(
         [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in INDEX_PAIRS], axis=-1
     )
-    sheared = table.project(across_scaled[:, 0], across_scaled[:, 1], weights, along_scaled)
-    return turbulence.velocity_scale**2 * (sheared + isotropic_radial(n_a, n_b, across_scaled, along_scaled))
+    covariance = np.empty(along_scaled.shape)
+    for part in np.array_split(np.arange(n), max(1, along_scaled.size // _BLOCK)):
+        y, z = across_scaled[part].T
+        covariance[part] = table.project(y, z, weights[part], along_scaled[part])
+        covariance[part] += isotropic_radial(n_a[part], n_b[part], across_scaled[part], along_scaled[part])
+    return turbulence.velocity_scale**2 * covariance
 
 
 def cross_spectra(
