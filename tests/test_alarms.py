@@ -236,7 +236,7 @@ def days():
 
 
 def told(records, name, **options):
-    return brs.fit(records, name, seed=1, sampler="direct", draws="none", target_ess=50, **options)
+    return brs.fit(records, name, seed=1, sampler="direct", draws="none", target_ess=50, campaign="off", **options)
 
 
 class TestFit:

@@ -506,8 +506,9 @@ class TestRecordsOfAUser:
         records["variance"].values[3, 2] = value
         wanted = self.records()
         wanted["flag"].values[3, 2] = 1
-        noise = plain_noise(HUB)
-        got, other = (brs.fit(one, HUB, seed=1, noise=noise, target_ess=50) for one in (records, wanted))
+        # a campaign takes most of the time, and one value is enough for it
+        options = {"noise": plain_noise(HUB), "target_ess": 50, "campaign": "auto" if value == 1e20 else "off"}
+        got, other = (brs.fit(one, HUB, seed=1, **options) for one in (records, wanted))
         pd.testing.assert_frame_equal(got.summary(), other.summary())
         assert got.failures[0].startswith("1 of 240 variances of the records are beyond 900 m² s⁻²")
         assert other.failures == []

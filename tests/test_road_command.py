@@ -70,6 +70,8 @@ def bayes_rs(monkeypatch, capsys):
     """Run a command line; return its exit code, and the lines of stdout and stderr."""
     from bayes_rs import cli  # noqa: PLC0415 - beside its use
 
+    monkeypatch.setattr(fit_commands, "draw_pictures", lambda *_args, **_options: None)  # most of the time of a fit
+
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["bayes-rs", *map(str, words)])
         with pytest.raises(SystemExit) as caught:
