@@ -519,7 +519,7 @@ class TestRecordsOfAUser:
     def test_winds(self, name, value):
         records = self.records()
         records[name].values[5] = value
-        found = brs.fit(records, HUB, seed=1, noise=plain_noise(HUB), target_ess=50)
+        found = brs.fit(records, HUB, seed=1, noise=plain_noise(HUB), target_ess=50, campaign="off")
         assert not found.fitted[5]
         assert found.n_fitted == 39
         assert "which no atmosphere has" in found.failures[0]
