@@ -18,7 +18,6 @@ from report_scene import result_folder
 import bayes_rs as brs
 from bayes_rs.app import choosing
 from bayes_rs.app.choosing import PRESETS, SCAN_SLIDERS, Answers, FlowChoice, ScanChoice, answer, prior_widths_at
-from bayes_rs.app.contours import LEVELS, outlines
 from bayes_rs.app.guard import Guard
 from bayes_rs.app.latest import Latest
 from bayes_rs.app.opening import open_place, place_below, places, with_fit
@@ -126,21 +125,6 @@ class TestChoosing:
         for uu in np.arange(0.1, 5.0, 0.05).round(3):
             kept.get("6-beam", FlowChoice(uu=uu))
         assert kept.known("6-beam", flow) is None  # the oldest goes
-
-
-class TestContours:
-    def test_outlines_of_a_normal_hold_what_they_say(self):
-        first, second = np.random.default_rng(7).multivariate_normal([0, 0], [[1.0, 0.6], [0.6, 1.0]], 20_000).T
-        inverse = np.linalg.inv([[1.0, 0.6], [0.6, 1.0]])
-        for level, lines in zip(LEVELS, outlines(first, second), strict=True):
-            assert len(lines) == 1  # no islands
-            distance = np.einsum("ni,ij,nj->n", lines[0], inverse, lines[0])
-            # smoothing with 0.2 standard deviations adds 4 % to a variance and bins and draws scatter by about as much
-            np.testing.assert_allclose(distance.mean(), -2.0 * np.log(1.0 - level), rtol=0.15)
-            assert np.array_equal(lines[0][0], lines[0][-1])
-
-    def test_a_number_that_does_not_vary_has_none(self):
-        assert outlines(np.ones(100), np.arange(100.0)) == [[], []]
 
 
 @pytest.fixture(scope="module")

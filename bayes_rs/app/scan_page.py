@@ -241,7 +241,7 @@ def _record(value: object) -> int:
 def headline(mine: Answer, flow: FlowChoice, seconds: float) -> list[Any]:
     """Say what the scan would know, in a sentence, and how long the answer took."""
     priors = [name for name, own in zip(STRESSES, mine.of_prior, strict=True) if own]
-    said = f"{', '.join(priors)} {'is' if len(priors) == 1 else 'are'} the prior’s" if priors else "none is the prior’s"
+    said = f"{', '.join(priors) or 'none'} {'are' if len(priors) > 1 else 'is'} mostly the prior’s"
     return [
         html.Strong(f"{mine.learnt:.1f} of 6 stresses learnt from a record; {said}."),
         f" The scan {mine.sight}. Turbulence intensity {100 * flow.intensity:.1f} %, ",
