@@ -69,7 +69,7 @@ def decided_words(found: ReportData) -> list[str]:
 
 def hundredths(middle: float, low: float, high: float) -> str:
     """Write a share with its interval, to a hundredth."""
-    texts = [f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", "−") for value in (middle, low, high)]
+    texts = [f"{value:z.2f}".replace("-", "−") for value in (middle, low, high)]
     return f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
@@ -112,7 +112,5 @@ def _direction_words(found: ReportData) -> list[str]:
     unseen = [name for name, seen in zip(names, found.directions["weight"] > 0.0, strict=True) if not seen]
     if not unseen:
         return [f"Of the six directions of R the beams see all, {names[-1]} least."]
-    return [
-        f"Of the six directions of R no beam sees {len(unseen)}: {'; '.join(unseen)}. "
-        "What the page says of them is the prior's, and what follows from the others."
-    ]
+    said = f"Of the six directions of R no beam sees {len(unseen)}: {'; '.join(unseen)}."
+    return [f"{said} What the page says of them is the prior's, and what follows from the others."]
