@@ -136,6 +136,7 @@ def test_a_fit_and_a_hostile_name(open_page):
     page.get_by_role("heading", name="hour", exact=True).wait_for()
     page.wait_for_selector("#record-corner[src^='data:image/png']")
     page.wait_for_selector("#series[src^='data:image/png']")
+    expect(page.locator("dl.found dt")).to_have_text(["found", "decided", "doubtful"])
     page.locator("#availability .heatmaplayer image").wait_for(state="attached")
     first = page.locator("#record-table").text_content()
     page.get_by_label("Record", exact=True).focus()
