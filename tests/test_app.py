@@ -127,6 +127,30 @@ class TestChoosing:
         assert kept.known("6-beam", flow) is None  # the oldest goes
 
 
+class TestScanPage:
+    def test_presets_follow_the_corner_plot_and_only_while_the_page_shows_their_scan(self):
+        from bayes_rs.app.scan_page import _SLIDERS, ScanPage  # noqa: PLC0415 - where Dash is installed
+        from bayes_rs.app.site import Site, no_update  # noqa: PLC0415 - as above
+
+        page = ScanPage(Site())
+        page._ready.set()  # nothing is made ahead
+        first = {**vars(ScanChoice()), **vars(FlowChoice())}
+
+        def asked(**changed):
+            return [*({**first, **changed}[slider.name] for slider in _SLIDERS), ["centre"], ["2-beam"], 1, "light"]
+
+        assert [one["name"] for one in page.follow(asked(), "me")[0]["data"]][1:] == [
+            "this scan, with the Monte-Carlo error"
+        ]
+        chart, waiting = page.posterior(asked(), "me")
+        assert len(chart["data"]) == 7
+        page.follow(asked(opening_angle_deg=31), "me")
+        assert page.compare(waiting, "me") == (no_update,) * 3
+        page.follow(asked(), "me")
+        assert page.compare(waiting, "me")[0]["data"][1]["name"] == "2-beam"
+        assert page.posterior(asked(), "me")[1] is no_update  # it is known by now
+
+
 @pytest.fixture(scope="module")
 def start(tmp_path_factory):
     folder = tmp_path_factory.mktemp("start")
