@@ -86,7 +86,10 @@ class TestFindingRecords:
             result.find_record(record)
 
     def test_a_time_at_which_none_starts(self, result):
-        message = r"No record starts at 2020-01-01T00:05: the records start from 2020-01-01T00:00:.* to 2020-01-01T00:3"
+        message = (
+            r"No record starts at 2020-01-01T00:05: the records start from 2020-01-01T00:00:.* to 2020-01-01T00:3.*"
+        )
+        message += r"; the last before it at 2020-01-01T00:00:00\."
         with pytest.raises(InputError, match=message):
             result.find_record("2020-01-01T00:05")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, Picture
 from bayes_rs.readers.looking import Look
@@ -22,10 +23,22 @@ def draw_look(found: Look) -> Picture:
     Returns
     -------
     figure : Figure
-        What there is neither of is left empty.
+        The samples alone where files have neither phase nor azimuth.
     """
     figure = Picture(figsize=(9.0, 3.8), layout="constrained")
-    cone, series = figure.subplots(1, 2)
+    known = np.isfinite(found.over_phase)
+    *cones, series = figure.subplots(1, 2 if known.any() else 1, squeeze=False)[0]
+    for cone in cones:
+        _draw_cone(cone, found)
+    series.plot(found.seconds, found.velocity, ".", color=POSTERIOR_COLOUR, markersize=2)
+    series.set_xlabel("time since the first sample (s)")
+    series.set_ylabel("velocity (m/s)")
+    series.set_title("the first samples", fontsize=10)
+    return figure
+
+
+def _draw_cone(cone: Axes, found: Look) -> None:
+    """Draw the mean velocity over the phase or azimuth."""
     known = np.isfinite(found.over_phase)
     cone.plot(
         found.phase_deg[known], found.over_phase[known], "o-", color=POSTERIOR_COLOUR, markersize=3, linewidth=0.8
@@ -39,8 +52,3 @@ def draw_look(found: Look) -> Picture:
     cone.set_xlabel(f"{found.angle} (degrees)")
     cone.set_ylabel("mean velocity (m/s)")
     cone.set_title(f"mean over the {found.angle}", fontsize=10)
-    series.plot(found.seconds, found.velocity, ".", color=POSTERIOR_COLOUR, markersize=2)
-    series.set_xlabel("time since the first sample (s)")
-    series.set_ylabel("velocity (m/s)")
-    series.set_title("the first samples", fontsize=10)
-    return figure
