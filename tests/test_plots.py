@@ -121,7 +121,8 @@ class TestCorner:
             values = draws.sel(component=name).values.ravel()
             low, high = interval_of(values, 0.8, kind)
             words = panels_of(figure)[index, index].texts[0].get_text()
-            assert words.startswith(f"{name} = {np.median(values):.2f}\n{low:.2f} to {high:.2f}\n")
+            said = f"{name} = {np.median(values):z.2f}\n{low:z.2f} to {high:z.2f}\n"
+            assert words.startswith(said.replace("-", "\N{MINUS SIGN}"))
         assert any(f"80 % interval, {kind}" in text.get_text() for text in figure.legends[0].get_texts())
 
     def test_some_stresses_alone(self, result):

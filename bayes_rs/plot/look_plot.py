@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -10,6 +12,12 @@ from bayes_rs.readers.looking import Look
 
 _TOPS = {0.0: "zero 90", 90.0: "zero 0, up\nor 180, down", 180.0: "zero 270", 270.0: "zero 0, down\nor 180, up"}
 """For which phase zeros, and turns, the top of the cone is at a phase."""
+_AT_TOP: dict[str, Any] = {
+    "xycoords": ("data", "axes fraction"),
+    "textcoords": "offset points",
+    "fontsize": 7,
+    "va": "top",
+}
 
 
 def draw_look(found: Look) -> Picture:
@@ -45,8 +53,7 @@ def _draw_cone(cone: Axes, found: Look) -> None:
     )
     for top, words in _TOPS.items() if found.angle == "phase" else ():
         cone.axvline(top, color=OTHER_COLOUR, linewidth=0.8, linestyle="--")
-        place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 7, "va": "top"}
-        cone.annotate(f"top for\n{words}", (top, 0.98), (3, 0), color=OTHER_COLOUR, **place)
+        cone.annotate(f"top for\n{words}", (top, 0.98), (3, 0), color=OTHER_COLOUR, **_AT_TOP)
     cone.set_xlim(-5.0, 365.0)
     cone.set_xticks([0, 90, 180, 270, 360])
     cone.set_xlabel(f"{found.angle} (degrees)")
