@@ -62,6 +62,7 @@ const corner = (holder, full) => {
     const inset = (small ? 0.16 : 0.08) * (high - low); // labels of neighbours must not touch
     return ticks(low + inset, high - inset, most);
   };
+  const beneath = (c) => [4, 3].map((most) => near(c, most)).find((some) => some.reduce((sum, [, words]) => sum + 8 * words.length + 6, 0) < cell) || near(c, 2);
   for (let row = 0; row < 6; row += 1) {
     for (let column = 0; column <= row; column += 1) {
       const box = { left: round(left + column * (cell + gap)), top: round(20 + row * (cell + gap)) };
@@ -116,7 +117,7 @@ const corner = (holder, full) => {
         }
       }
       if (row === 5) {
-        for (const [value, words] of near(column, small ? 2 : 3)) svg.append(text(x(value), box.bottom + 13, words, { "text-anchor": "middle" }));
+        for (const [value, words] of small ? near(column, 2) : beneath(column)) svg.append(text(x(value), box.bottom + 13, words, { "text-anchor": "middle" }));
         svg.append(text(box.left + cell / 2, box.bottom + (small ? 27 : 30), called(column), { "text-anchor": "middle", class: "strong" }));
       }
       svg.append(path(`M${box.left} ${box.top}H${box.right}V${box.bottom}H${box.left}Z`, "frame"));
