@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 import bayes_rs as brs
 from bayes_rs.geometry.probe import PulsedProbe
 from bayes_rs.noise.probe_words import probe_loss
+from bayes_rs.pictures import COLOURS, POSTERIOR_COLOUR, TRUTH_COLOUR
 
 MASTS = {"south mast": "TI_South", "north mast": "TI_North", "mean of both masts": "both"}
 SPECTRA = "30 m, noise by the spectra"
@@ -29,6 +30,8 @@ PROBES = {"30 m": "pulsed-4-beam", "none": "pulsed-4-beam@probe=point"}
 BEAMS = {2: "South", 3: "North"}
 """The mast near the point of each beam."""
 
+LIDAR = {"color": POSTERIOR_COLOUR}
+SOUTH, NORTH = TRUTH_COLOUR, COLOURS[2]
 GATES = (15.0, 20.0, 30.0)
 LENGTH_SCALES = (30.0, 61.0, 100.0)
 NOISES = (0.03, 0.05)
@@ -251,11 +254,13 @@ def draw(merged: dict[tuple[str, str], pd.DataFrame], campaign: pd.DataFrame) ->
     probed, points, learnt = merged["30 m", "weak"], merged["none", "weak"], merged["30 m", "campaign"]
     figure = Figure(figsize=(15.0, 4.8), layout="constrained")
     over, against, bins = figure.subplots(1, 3, width_ratios=[2.2, 1.0, 1.0])
-    over.fill_between(probed["time"], probed["low"], probed["high"], alpha=0.25, label="lidar, 90 % interval")
-    over.plot(probed["time"], probed["mean"], linewidth=1.3, label="lidar, posterior mean")
+    over.fill_between(
+        probed["time"], probed["low"], probed["high"], **LIDAR, alpha=0.25, linewidth=0, label="lidar, 90 % interval"
+    )
+    over.plot(probed["time"], probed["mean"], **LIDAR, linewidth=1.3, label="lidar, posterior mean")
     over.plot(points["time"], points["mean"], color="0.35", linewidth=0.8, linestyle="--", label="the same, no probe")
-    over.plot(probed["time"], probed["TI_South"], ".", color="#c26a16", markersize=4, label="south mast")
-    over.plot(probed["time"], probed["TI_North"], ".", color="#1b7837", markersize=4, label="north mast")
+    over.plot(probed["time"], probed["TI_South"], ".", color=SOUTH, markersize=4, label="south mast")
+    over.plot(probed["time"], probed["TI_North"], ".", color=NORTH, markersize=4, label="north mast")
     for flag, marker, words in (("beam_left_out", "|", "one beam only"), ("unsteady", "v", "unsteady")):
         rows = probed[probed["flag"].str.contains(flag)]
         over.plot(rows["time"], np.full(len(rows), 0.01), marker, color="0.3", markersize=6, label=words)
@@ -270,25 +275,26 @@ def draw(merged: dict[tuple[str, str], pd.DataFrame], campaign: pd.DataFrame) ->
         probed["mean"],
         yerr=error,
         fmt="o",
+        **LIDAR,
         markersize=3,
         linewidth=0.5,
         alpha=0.5,
         label="prior weak, 90 % interval",
     )
-    against.plot(learnt["both"], learnt["mean"], "+", color="#c26a16", markersize=5, label="under the campaign")
+    against.plot(learnt["both"], learnt["mean"], "+", color=COLOURS[1], markersize=5, label="under the campaign")
     ends = [0.05, 0.5]
     against.plot(ends, ends, color="0.3", linewidth=1.0)
     against.set_xlabel("mean of both masts")
     against.set_ylabel("lidar, probe of 30 m")
     against.legend(loc="upper left", fontsize=9)
     rows = campaign[(campaign["quantity"] == "ti") & (campaign["bin"] != "all")]
-    for probe, shift, colour in (("30 m", -0.12, "#1f77b4"), (SPECTRA, 0.0, "#7b3294"), ("none", 0.12, "0.35")):
+    for probe, shift, colour in (("30 m", -0.12, COLOURS[0]), (SPECTRA, 0.0, COLOURS[4]), ("none", 0.12, "0.35")):
         part = rows[rows["probe"] == probe]
         speed = part["bin"].str.split("-").str[0].astype(float) + 0.5
         error = [part["campaign"] - part["low"], part["high"] - part["campaign"]]
         words = f"campaign, probe {probe}"
         bins.errorbar(speed + shift, part["campaign"], yerr=error, fmt="o", markersize=4, color=colour, label=words)
-    for name, marker, colour in (("masts", "_", "k"), ("south", ".", "#c26a16"), ("north", ".", "#1b7837")):
+    for name, marker, colour in (("masts", "_", "k"), ("south", ".", SOUTH), ("north", ".", NORTH)):
         words = "mean of both masts" if name == "masts" else f"{name} mast"
         bins.plot(
             speed,

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 
 import bayes_rs as brs
 from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.pictures import COLOURS
 
 HUB = 119.0
 """Height of the rotor's centre, m."""
@@ -143,7 +144,9 @@ def figure(table: pd.DataFrame, file: Path) -> None:
         for shift, (fit, marker) in enumerate((("homogeneous", "o"), ("gradients", "s"))):
             part = table.query("flow == @flow and fit == @fit and stress == @stress").set_index("scan").loc[scans]
             place = np.arange(len(scans)) + 0.15 * (shift - 0.5)
-            axis.errorbar(place, part["bias"], part["sd"], fmt=marker, capsize=3, label=f"posterior, {fit}")
+            axis.errorbar(
+                place, part["bias"], part["sd"], fmt=marker, color=COLOURS[shift], capsize=3, label=f"posterior, {fit}"
+            )
         axis.plot(np.arange(len(scans)), part["exact_bias"], "k_", markersize=24, label="least squares, no noise")
         axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"bias of {stress} / uu")

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 
 import bayes_rs as brs
 from bayes_rs.noise.box_noise import noise_from_boxes
+from bayes_rs.pictures import COLOURS
 from bayes_rs.simulation.boxes import BoxGrid
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence import one_point, two_point
@@ -122,8 +123,8 @@ def draw(table: pd.DataFrame) -> Figure:
     """Draw error against seconds."""
     figure = Figure(figsize=(8.5, 5.5), layout="constrained")
     axis = figure.subplots()
-    for (name, rows), marker in zip(table.groupby("method", sort=False), "osD^v", strict=False):
-        axis.loglog(rows["seconds"], rows["error"], marker=marker, label=name)
+    for (name, rows), marker, colour in zip(table.groupby("method", sort=False), "osD^v", COLOURS, strict=False):
+        axis.loglog(rows["seconds"], rows["error"], marker=marker, color=colour, label=name)
     axis.set_xlabel("seconds, one core")
     axis.set_ylabel("relative Frobenius error of K, six beams")
     axis.grid(alpha=0.3, which="both")

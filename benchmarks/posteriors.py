@@ -26,6 +26,7 @@ from scipy.special import ndtri
 
 import bayes_rs as brs
 from bayes_rs.fits.batch import Batch, FitOptions, make_posterior
+from bayes_rs.pictures import COLOURS
 from bayes_rs.posteriors.nuisance import Nuisances
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.sampling import sample
@@ -302,13 +303,15 @@ def draw(table: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(4.6 * len(scans), 4.6), layout="constrained")
     panels = figure.subplots(1, len(scans), sharex=True, sharey=True, squeeze=False)[0]
     for panel, scan in zip(panels, scans, strict=True):
-        for name, rows in table[table["scan"] == scan].groupby("method", sort=False):
+        methods = table[table["scan"] == scan].groupby("method", sort=False)
+        for (name, rows), colour in zip(methods, COLOURS, strict=False):
             strong = str(name).startswith("bayes_rs")
             panel.loglog(
                 rows["ms a record"],
                 rows["error"],
                 "o-" if strong else "s--",
                 label=name,
+                color=colour,
                 linewidth=1.8 if strong else 1.0,
                 markersize=4,
             )

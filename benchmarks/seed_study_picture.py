@@ -6,8 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
+from bayes_rs.pictures import COLOURS, POSTERIOR_COLOUR, TRUTH_COLOUR
 
-LEAST_SQUARES, POSTERIOR, SONIC = "#1f4e79", "#c26a16", "0.35"
+LEAST_SQUARES, POSTERIOR, ISOTROPY, SONIC = TRUTH_COLOUR, POSTERIOR_COLOUR, COLOURS[2], "0.35"
 FIGURES = {
     "Fig. 4: one plane": {
         "6-beam": "6 beams",
@@ -114,7 +115,7 @@ def _along_wind(axis: Axes, table: pd.DataFrame, scans: list[str]) -> None:
     """Draw uu by projection and by isotropy, all scans with five planes."""
     uu = table[(table["stress"] == "uu") & (table["duration"] == 1800.0)]
     sonic = uu[uu["method"] == "sonic"].iloc[0]
-    for method, colour, mark, shift in (("lsp", LEAST_SQUARES, "o-", -0.1), ("isotropy, table", POSTERIOR, "s--", 0.1)):
+    for method, colour, mark, shift in (("lsp", LEAST_SQUARES, "o-", -0.1), ("isotropy, table", ISOTROPY, "s--", 0.1)):
         of = uu[uu["method"] == method].set_index("scan").reindex([f"{name}-planes" for name in scans])
         at = np.arange(len(of)) + shift
         axis.errorbar(at, of["mean"], yerr=of["sd"], fmt=mark, color=colour, capsize=2, ms=4, label=METHODS[method])
@@ -132,7 +133,7 @@ def _along_wind(axis: Axes, table: pd.DataFrame, scans: list[str]) -> None:
 def _errors(axis: Axes, table_1: pd.DataFrame) -> None:
     """Draw the relative errors of uu, as printed and in the boxes."""
     scans = list(table_1["scan"].unique())
-    for method, colour in (("lsq", "0.2"), ("lsp", LEAST_SQUARES), ("isotropy", POSTERIOR)):
+    for method, colour in (("lsq", "0.2"), ("lsp", LEAST_SQUARES), ("isotropy", ISOTROPY)):
         of = table_1[table_1["method"] == method]
         at = np.array([scans.index(name) for name in of["scan"]])
         name = METHODS["isotropy, table" if method == "isotropy" else method]

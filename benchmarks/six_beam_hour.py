@@ -14,8 +14,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 import bayes_rs as brs
+from bayes_rs.pictures import COLOURS, DATA_MARK, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, TRUTH_COLOUR
+from bayes_rs.posteriors.decided import is_priors
 
 FILE = "wls200s_sixbeam_20210513T12.nc"
 HEIGHTS = (100.0, 150.0, 200.0, 250.0, 300.0, 350.0)
@@ -154,18 +158,30 @@ def draw(table: pd.DataFrame) -> Figure:
             part = rows[(rows["height"] == height) & (rows["stress"] == stress)]
             short, hour = (part[part["duration"] == duration] for duration in DURATIONS)
             centre = 5.0 + 10.0 * short["record"]
-            error = [short["mean"] - short["low"], short["high"] - short["mean"]]
-            axis.axhspan(hour["low"].iloc[0], hour["high"].iloc[0], color="#bfd3e6", label="hour, 90 % interval")
-            axis.axhline(hour["mean"].iloc[0], color="#4c78a8", linewidth=1.0)
-            axis.errorbar(centre, short["mean"], yerr=error, fmt="o", markersize=4, color="#1b4f8a", label="10 minutes")
+            low, middle, high, share = hour[["low", "mean", "high", "decided"]].iloc[0]
+            colour = PRIOR_COLOUR if is_priors(share) else POSTERIOR_COLOUR
+            axis.axhspan(low, high, color=colour, alpha=0.2, linewidth=0)
+            axis.axhline(middle, color=colour, linewidth=1.0)
+            priors = is_priors(short["decided"].to_numpy())
+            for some, look in ((~priors, DATA_MARK), (priors, PRIOR_MARK)):
+                few = short[some]
+                error = [few["mean"] - few["low"], few["high"] - few["mean"]]
+                axis.errorbar(centre[some], few["mean"], yerr=error, fmt="o", markersize=4, **look)
             fine = short["plain_realizable"].astype(bool)
             axis.plot(
-                centre[fine], short["plain"][fine], "_", markersize=12, color="#1b7837", label="plain, realizable"
+                centre[fine], short["plain"][fine], "_", markersize=12, color=COLOURS[2], label="plain, realizable"
             )
-            axis.plot(centre[~fine], short["plain"][~fine], "x", color="#c26a16", label="plain, not realizable")
+            axis.plot(centre[~fine], short["plain"][~fine], "x", color=TRUTH_COLOUR, label="plain, not realizable")
             axis.axhline(0.0, color="0.6", linewidth=0.6)
             axis.set_title(f"{words[stress]} at {height:g} m, m² s⁻²", fontsize=9)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", fontsize=9, ncols=4)
+    plain, _ = axes[0, 0].get_legend_handles_labels()
+    marks = [
+        Line2D([], [], marker="o", markersize=4, **DATA_MARK, label="10 minutes, 90 % interval"),
+        Patch(color=POSTERIOR_COLOUR, alpha=0.2, label="hour, 90 % interval"),
+        Line2D([], [], marker="o", markersize=4, **PRIOR_MARK, label="grey: mostly the prior's"),
+        *plain,
+    ]
+    figure.legend(handles=marks, loc="outside upper center", fontsize=9, ncols=5)
     for axis in axes[-1]:
         axis.set_xlabel("minutes after 2021-05-13 12:00 UTC")
     return figure

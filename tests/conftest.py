@@ -1,9 +1,21 @@
 """Fixtures that several test files share."""
 
+import shutil
 import warnings
 from pathlib import Path
 
 import pytest
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 
 
 @pytest.fixture(scope="session")
@@ -39,3 +51,18 @@ def arviz():
         warnings.simplefilter("ignore")  # ArviZ announces its own refactoring when it is imported
         import arviz  # noqa: PLC0415 - slow to load
     return arviz
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless browser with an empty profile of its own."""
+    found = next((path for path in map(shutil.which, BROWSERS) if path), None)
+    if found is None:
+        pytest.skip(f"NOT TESTED IN A BROWSER: none of {', '.join(BROWSERS)} is on PATH; apt-get install chromium")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="NOT TESTED IN A BROWSER: playwright is not installed; pip install playwright"
+    )
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=found, args=ARGUMENTS)
+        yield opened
+        opened.close()

@@ -219,7 +219,7 @@ class TestMeans:
         check = check_beams([(Block(used, np.zeros(shape), quiet), block)], beam_patterns(scan.beam_direction), 30)
         angle, sd = np.degrees(check.kinds["mean"].tilt)
         assert abs(angle - 5.0) < 3.0 * sd
-        lines = [line for line in CheckWords(check, scan.beam, 61.0).of_all() if "tilted by" in line]
+        lines = [line for line in CheckWords(check, scan.beam, 61.0).of_all()[0] if "tilted by" in line]
         assert bool(lines) == told, (angle, sd)
         assert (sd > 2.0) == (not told)
 
@@ -327,7 +327,7 @@ class TestScatter:
         found, low, high = check.scatter
         assert low < found < high
         assert abs(found - factor) < 2.0 * (high - low), (found, factor)
-        words = CheckWords(check, np.arange(50), 61.0).of_all()
+        words, _ = CheckWords(check, np.arange(50), 61.0).of_all()
         assert bool([line for line in words if "scatter against each other" in line]) == (factor != 1.0)
         if factor == 2.0:
             assert check.kinds["variance"].excess > 1.2

@@ -18,7 +18,6 @@ from report_scene import result_folder
 import bayes_rs as brs
 from bayes_rs.app import choosing
 from bayes_rs.app.choosing import PRESETS, SCAN_SLIDERS, Answers, FlowChoice, ScanChoice, answer, prior_widths_at
-from bayes_rs.app.contours import LEVELS, outlines
 from bayes_rs.app.guard import Guard
 from bayes_rs.app.latest import Latest
 from bayes_rs.app.opening import open_place, place_below, places, with_fit
@@ -128,19 +127,28 @@ class TestChoosing:
         assert kept.known("6-beam", flow) is None  # the oldest goes
 
 
-class TestContours:
-    def test_outlines_of_a_normal_hold_what_they_say(self):
-        first, second = np.random.default_rng(7).multivariate_normal([0, 0], [[1.0, 0.6], [0.6, 1.0]], 20_000).T
-        inverse = np.linalg.inv([[1.0, 0.6], [0.6, 1.0]])
-        for level, lines in zip(LEVELS, outlines(first, second), strict=True):
-            assert len(lines) == 1  # no islands
-            distance = np.einsum("ni,ij,nj->n", lines[0], inverse, lines[0])
-            # smoothing with 0.2 standard deviations adds 4 % to a variance and bins and draws scatter by about as much
-            np.testing.assert_allclose(distance.mean(), -2.0 * np.log(1.0 - level), rtol=0.15)
-            assert np.array_equal(lines[0][0], lines[0][-1])
+class TestScanPage:
+    def test_presets_follow_the_corner_plot_and_only_while_the_page_shows_their_scan(self):
+        from bayes_rs.app.scan_page import _SLIDERS, ScanPage  # noqa: PLC0415 - where Dash is installed
+        from bayes_rs.app.site import Site, no_update  # noqa: PLC0415 - as above
 
-    def test_a_number_that_does_not_vary_has_none(self):
-        assert outlines(np.ones(100), np.arange(100.0)) == [[], []]
+        page = ScanPage(Site())
+        page._ready.set()  # nothing is made ahead
+        first = {**vars(ScanChoice()), **vars(FlowChoice())}
+
+        def asked(**changed):
+            return [*({**first, **changed}[slider.name] for slider in _SLIDERS), ["centre"], ["2-beam"], 1, "light"]
+
+        assert [one["name"] for one in page.follow(asked(), "me")[0]["data"]][1:] == [
+            "this scan, with the Monte-Carlo error"
+        ]
+        chart, waiting = page.posterior(asked(), "me")
+        assert len(chart["data"]) == 7
+        page.follow(asked(opening_angle_deg=31), "me")
+        assert page.compare(waiting, "me") == (no_update,) * 3
+        page.follow(asked(), "me")
+        assert page.compare(waiting, "me")[0]["data"][1]["name"] == "2-beam"
+        assert page.posterior(asked(), "me")[1] is no_update  # it is known by now
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,6 @@ from report_scene import result_folder
 
 pytest.importorskip("dash", reason="NOT TESTED: dash is not installed; pip install 'bayes_rs[app]'")
 
-from test_report_browser import ARGUMENTS, BROWSERS
-
 import bayes_rs as brs
 from bayes_rs.app.making import make_app
 from bayes_rs.app.server import serve
@@ -51,20 +49,6 @@ def address(tmp_path_factory):
     yield found[0]
     end.set()
     thread.join(60)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    found = next((path for path in map(shutil.which, BROWSERS) if path), None)
-    if found is None:
-        pytest.skip(f"NOT TESTED IN A BROWSER: none of {', '.join(BROWSERS)} is on PATH; apt-get install chromium")
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="NOT TESTED IN A BROWSER: playwright is not installed; pip install playwright"
-    )
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=found, args=ARGUMENTS)
-        yield opened
-        opened.close()
 
 
 @pytest.fixture
@@ -152,6 +136,7 @@ def test_a_fit_and_a_hostile_name(open_page):
     page.get_by_role("heading", name="hour", exact=True).wait_for()
     page.wait_for_selector("#record-corner[src^='data:image/png']")
     page.wait_for_selector("#series[src^='data:image/png']")
+    expect(page.locator("dl.found dt")).to_have_text(["found", "decided", "doubtful"])
     page.locator("#availability .heatmaplayer image").wait_for(state="attached")
     first = page.locator("#record-table").text_content()
     page.get_by_label("Record", exact=True).focus()

@@ -96,8 +96,11 @@ class TestRecords:
             records.drop_vars("yaw"),
             records.assign(yaw=records["yaw"] * np.nan),
         ):
-            with pytest.raises(InputError, match="No record has a wind speed and direction"):
+            with pytest.raises(InputError, match=r"No record has a wind speed and direction.*: give them, or a noise"):
                 calibrate("2-beam", records=without)
+        flagged = without.assign(flag=(without["variance"].dims, np.full(without["variance"].shape, 129, np.uint8)))
+        with pytest.raises(InputError, match=r"a flag \(too_few_samples 2 of 2, cut_off 2 of 2\); a lower min_availab"):
+            calibrate("2-beam", records=flagged)
 
     def test_words_count_those_outside(self):
         words = plain_noise(load_scan("2-beam")).in_words([10.0, 16.0, np.nan], [0.0, 0.0, 0.0])

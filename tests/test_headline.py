@@ -12,7 +12,7 @@ from fit_scene import OPTIONS, SCAN, fit_to, make_records
 import bayes_rs as brs
 from bayes_rs.fits.direction_table import direction_name
 from bayes_rs.fits.flags import FLAGS
-from bayes_rs.fits.headline import NOTHING, decided_words, headline_of_ranges
+from bayes_rs.fits.headline import NOTHING, _doubts, decided_words, headline_of_ranges
 from bayes_rs.fits.people_table import decimals_of
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.decided import is_priors
@@ -75,6 +75,17 @@ class TestHeadline:
         fit = brs.fit(make_records(3), SCAN, **OPTIONS)
         assert not any(fit.flags.values())
         assert fit.headline().doubtful == NOTHING
+
+    def test_what_only_all_records_together_show_is_a_doubt(self, found):
+        lines = ["all records together: beam 2 looks dead", "the beams' variances scatter 1.9 times as much: eddies"]
+        clean = {"n_record": 2, "n_fitted": 0, "flag": np.zeros(2, dtype=np.int64)}
+        run = {**found.run, "doubts": [], "beams": {"together": lines}}
+        fits = {k: SimpleNamespace(**clean, run={**run, "beams": {"together": lines[:k]}}) for k in (0, 1, 2)}
+        told = headline_of_ranges({}, fits, ["80 m", "120 m", "160 m"], pd.DataFrame())
+        assert told.doubtful == "all records together: the beams are not as the model has them at 2 of 3 ranges"
+        assert told.numbers["doubtful"]["beams"] == [lines[0], *lines]
+        alone = _doubts({}, [fits[2]])[0]
+        assert alone == "all records together: beam 2 looks dead; the beams' variances scatter 1.9 times as much"
 
     @pytest.mark.parametrize(
         ("shares", "words"),

@@ -1,6 +1,7 @@
 """A first look at files: what is said of them, and that the command that is proposed is one."""
 
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from ray_files import mixed_hour, rays_of, six_beam, windcube_sweep
 import bayes_rs as brs
 from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
+from bayes_rs.plot.look_plot import draw_look
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.look_table import look_at_table, over_phase
 from bayes_rs.readers.looking import look, sparkline
@@ -162,6 +164,9 @@ class TestCommand:
         done = run("look", tmp_path / "zx.csv", "--positive", "towards", "-o", tmp_path / "look.png")
         assert done.exit_code == 0, done.output
         assert (tmp_path / "look.png").read_bytes().startswith(b"\x89PNG")
+        found = look(tmp_path / "zx.csv")
+        titles = [[axis.get_title() for axis in draw_look(one).axes] for one in (found, replace(found, over_phase=[]))]
+        assert titles == [["mean over the phase", "the first samples"], ["the first samples"]]
         words = shlex.split(done.stdout.splitlines()[-1].removeprefix("next: bayes-rs "))
         assert words[:4] == ["fit", str(tmp_path / "zx.csv"), "--scan", "zx-tm"]
         assert words[-4:] == ["--positive", "towards", "-o", "OUT/"]

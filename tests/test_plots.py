@@ -86,7 +86,10 @@ class TestFindingRecords:
             result.find_record(record)
 
     def test_a_time_at_which_none_starts(self, result):
-        message = r"No record starts at 2020-01-01T00:05: the records start from 2020-01-01T00:00:.* to 2020-01-01T00:3"
+        message = (
+            r"No record starts at 2020-01-01T00:05: the records start from 2020-01-01T00:00:.* to 2020-01-01T00:3.*"
+        )
+        message += r"; the last before it at 2020-01-01T00:00:00\."
         with pytest.raises(InputError, match=message):
             result.find_record("2020-01-01T00:05")
 
@@ -118,7 +121,8 @@ class TestCorner:
             values = draws.sel(component=name).values.ravel()
             low, high = interval_of(values, 0.8, kind)
             words = panels_of(figure)[index, index].texts[0].get_text()
-            assert words.startswith(f"{name} = {np.median(values):.2f}\n{low:.2f} to {high:.2f}\n")
+            said = f"{name} = {np.median(values):z.2f}\n{low:z.2f} to {high:z.2f}\n"
+            assert words.startswith(said.replace("-", "\N{MINUS SIGN}"))
         assert any(f"80 % interval, {kind}" in text.get_text() for text in figure.legends[0].get_texts())
 
     def test_some_stresses_alone(self, result):

@@ -19,7 +19,7 @@ from bayes_rs.fits.shape_points import shape_points
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.intervals import interval_of
 from bayes_rs.pictures import COLOURS, PRIOR_COLOUR, TRUTH_COLOUR, Picture
-from bayes_rs.plot.density import LEVELS, smooth, smooth_pair
+from bayes_rs.plot.density import LEVELS, outlines, smooth, smooth_pair
 from bayes_rs.plot.style import prior_band
 from bayes_rs.posteriors.decided import PRIORS
 from bayes_rs.posteriors.prior_at_size import prior_interval_at_size
@@ -179,6 +179,20 @@ class TestDensity:
         second = first * rng.standard_normal(800)
         _, _, density, value = smooth_pair(first, second, positive=(True, False), levels=LEVELS)
         assert [ndimage.label(density >= one)[1] for one in value] == [1, 1]
+
+    @pytest.mark.parametrize("n_grid", [48, 144])
+    def test_outlines_are_closed_even_at_zero_and_hold_what_they_say_on_a_coarse_grid(self, n_grid):
+        rng = np.random.default_rng(7)
+        first, second = np.abs(rng.standard_normal(4000)), rng.standard_normal(4000)
+        for level, lines in zip(LEVELS, outlines(first, second, positive=(True, False), n_grid=n_grid), strict=True):
+            assert len(lines) == 1
+            assert np.array_equal(lines[0][0], lines[0][-1])
+            inside = mpl.path.Path(lines[0]).contains_points(np.column_stack([first, second]))
+            assert inside.mean() == pytest.approx(level, abs=0.03)
+            assert abs(lines[0][:, 0].min()) < 0.1  # half a cell from the border
+
+    def test_a_number_that_does_not_vary_is_drawn(self):
+        assert all(np.isfinite(one).all() for one in smooth_pair(np.ones(99), np.arange(99.0), positive=(False, False)))
 
 
 def pictures(found):

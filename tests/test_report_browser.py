@@ -18,34 +18,10 @@ from bayes_rs.report.packing import pack_steps
 from bayes_rs.result_folder import seal_folder
 
 pytestmark = pytest.mark.slow
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 FILE_EVIL = EVIL.replace("/", "∕")
 """A name that tries to run as a script, as a file can have it."""
 TIME_PANELS = 7
 """Turbulence intensity and the six stresses."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    found = next((path for path in map(shutil.which, BROWSERS) if path), None)
-    if found is None:
-        pytest.skip(f"NOT TESTED IN A BROWSER: none of {', '.join(BROWSERS)} is on PATH; apt-get install chromium")
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="NOT TESTED IN A BROWSER: playwright is not installed; pip install playwright"
-    )
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=found, args=ARGUMENTS)  # with an empty profile of its own
-        yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")

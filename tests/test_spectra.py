@@ -12,6 +12,7 @@ import bayes_rs as brs
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
 from bayes_rs.spectra.information import information_ratio
 from bayes_rs.spectra.lag_window import fourier_rows, lag_windows, ordinate_correlation, ordinates
+from bayes_rs.spectra.mann_fit import _States
 from bayes_rs.spectra.whittle import profile_likelihood
 
 START = np.datetime64("2020-01-01T00:00", "ns")
@@ -370,6 +371,37 @@ class TestMannFit:
         ratio = other.attrs["information_ratio"][0] / fit.attrs["information_ratio"][0]
         assert ratio == pytest.approx(1.0, abs=0.1)
         assert other["expected"].values == pytest.approx(fit["expected"].values[:3], rel=0.02)
+
+    def test_a_probe_along_the_wind_leaves_a_spectrum_that_is_positive_at_every_length_scale(self):
+        """Its pulse takes nearly all of the fast eddies: what is left is of the size of the covariances' errors."""
+        scan, n_slot = brs.load_scan("pulsed-4-beam@focus_distance=178"), 150
+        length_scale = np.exp(np.arange(1.8, 5.5, 0.12))
+        spectra = xr.Dataset(
+            {
+                "spectrum": (("record", "beam", "frequency"), np.ones((1, 4, n_slot // 2))),
+                "radial_velocity": (("record", "beam", "slot"), np.ones((1, 4, n_slot))),
+                "variance": (("record", "beam"), np.ones((1, 4))),
+                "wind_speed": ("record", [4.4]),
+                "yaw": ("record", [-15.0]),
+            },
+            attrs={"interval": 4.0, "tapers": 0},
+        )
+        states = _States(spectra, scan, np.array([3.2]), np.log(length_scale), 0.0, None)
+        shape, white = states.shapes(0, 2, length_scale, 3.2)
+        covariance = scaled_autocovariance(
+            scan.at_yaw(np.deg2rad(-15.0))[2],
+            4.4 * 4.0 * np.arange(n_slot),
+            length_scale,
+            gamma=3.2,
+            probe=scan.probe,
+            probe_length=float(scan.probe_length[2]),
+        )
+        plain = covariance @ states.windows(np.ones(n_slot, dtype=bool)).T
+        assert plain.min() < 0.0
+        assert shape.min() > 0.0
+        kept = plain > 1e-4 * covariance[:, :1] * white
+        assert kept.mean() > 0.99
+        assert np.array_equal(shape[kept], plain[kept])
 
     def test_input_is_checked(self, recovered):
         scan, _, spectra, fit = recovered

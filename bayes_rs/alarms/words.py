@@ -113,13 +113,13 @@ class CheckWords:
             words[index] = self.of_record(index)
         return words
 
-    def of_all(self) -> list[str]:
-        """Say what all records together show, in lines; none where nothing is wrong."""
+    def of_all(self) -> tuple[list[str], list[str]]:
+        """Say what all records together show, and what those that were flagged have most often, each in lines."""
         often, key, share = self._most_often()
         lines = self._exchange_of_all() or [
             self._level(kind, found, key if share < _NEARLY_ALL else "") for kind, found in self.check.kinds.items()
         ]
-        return [*(line for line in lines if line), *often, *self._tilt(), *self._scatter()]
+        return [*(line for line in lines if line), *self._tilt(), *self._scatter()], often
 
     def _exchange_of_all(self) -> list[str]:
         """Name two beams that all records together want exchanged."""
@@ -153,8 +153,8 @@ class CheckWords:
         most = str(names[int(np.argmax(counts))])
         own = [index for index, name in kind_of.items() if name == most]
         example = self.of_record(own[len(own) // 2])
-        line = f"beams disagree in {len(wrong)} of {total} records, {len(own)} times as in this: {example}"
-        return [line], most, len(wrong) / total
+        alike = "" if len(wrong) == 1 else f", {len(own)} times as in this"
+        return [f"beams disagree in {len(wrong)} of {total} records{alike}: {example}"], most, len(wrong) / total
 
     def _key(self, index: int) -> str:
         """Return what tells faults apart when they are counted: the beams, not by how much they are off."""
@@ -193,8 +193,10 @@ class CheckWords:
         """Return what `run.json` holds, as plain values."""
         check = self.check
         tilt = check.kinds["mean"].tilt if "mean" in check.kinds else None
+        together, often = self.of_all()
         return {
-            "words": self.of_all(),
+            "words": [*together, *often],
+            "together": together,
             "level": check.level,
             "looked_at": int(np.count_nonzero(np.isfinite(check.probability))),
             "disagree": int(np.count_nonzero(check.disagree)),

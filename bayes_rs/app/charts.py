@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.app.choosing import PROB, Answer, prior_widths_at
+from bayes_rs.app.choosing import Answer, prior_widths_at
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.intervals import EQUAL_TAILED, interval_words
 from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
 from bayes_rs.posteriors.decided import PRIORS
 from bayes_rs.report.availability import Availability
@@ -144,7 +143,7 @@ def widths_chart(mine: Answer, others: Sequence[Answer], theme: str) -> Chart:
         margin={"l": 82, "r": 12, "t": 8, "b": 46},
         xaxis={
             "type": "log",
-            "title": {"text": f"width of the {interval_words(PROB, EQUAL_TAILED)} (m² s⁻²)"},
+            "title": {"text": "width (m² s⁻²)"},
             "gridcolor": palette.faint,
             "tickvals": _TICKS,
             "automargin": True,

@@ -19,7 +19,9 @@ from bayes_rs.intervals import interval_of
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.posteriors.prior_at_size import shapes_of
 from bayes_rs.priors.registry import make_prior
+from bayes_rs.theory.pair_moments import COARSE
 from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.two_point import covariance_table
 
 PROB = 0.9
 """Probability of the intervals, with equal tails."""
@@ -291,6 +293,8 @@ def prior_widths_at(truth: FloatArray) -> FloatArray:
 
 
 def make_ready() -> None:
-    """Make what the slider of Γ would wait for: the stresses of every Γ."""
-    for gamma in GAMMAS:
+    """Make what the slider of Γ would wait for, its neighbours first: stresses and covariances of every Γ."""
+    for gamma in sorted(GAMMAS, key=lambda gamma: abs(gamma - FlowChoice.gamma)):
         _unit_turbulence(1.0, gamma).stresses()
+        for tolerance in (_TOLERANCE, COARSE):
+            covariance_table(gamma, np.zeros((1, 3)), tolerance=tolerance)

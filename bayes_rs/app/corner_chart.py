@@ -11,11 +11,13 @@ import numpy as np
 from bayes_rs._validation import FloatArray
 from bayes_rs.app.charts import Chart, Palette, clear, layout_of, legend_below
 from bayes_rs.app.choosing import prior_at_size
-from bayes_rs.app.contours import density, outlines
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.plot.density import outlines, smooth
 from bayes_rs.posteriors.decided import PRIORS
 
 _GAP = 0.06  # between panels, of a panel
+_CELLS = 48  # of a density along an axis
+_VARIANCES = 3
 _DASH = "4px,3px"
 _Line = FloatArray
 
@@ -48,18 +50,17 @@ def corner_chart(draws: FloatArray, truth: FloatArray, of_prior: Sequence[bool],
     for row in range(len(STRESSES)):
         for column in range(row):
             cell = _Cell(column, row, limits[column], limits[row])
-            into = greys if of_prior[row] or of_prior[column] else ours
-            for which, lines in enumerate(outlines(draws[:, column], draws[:, row])):
-                into[which].extend(cell.place(line) for line in lines)
-            for which, lines in enumerate(outlines(prior[:, column], prior[:, row])):
-                theirs[which].extend(cell.place(line) for line in lines)
+            own = greys if of_prior[row] or of_prior[column] else ours
+            for some, into in ((draws, own), (prior, theirs)):
+                for which, lines in enumerate(_outlines(some, column, row)):
+                    into[which].extend(cell.place(line) for line in lines)
     bars: list[_Line] = []
     grey_bars: list[_Line] = []
     prior_bars: list[_Line] = []
     for index in range(len(STRESSES)):
         cell = _Cell(index, index, limits[index], (0.0, 1.15))
-        (grey_bars if of_prior[index] else bars).append(cell.place(_hill(draws[:, index], limits[index])))
-        prior_bars.append(cell.place(_hill(prior[:, index], limits[index])))
+        (grey_bars if of_prior[index] else bars).append(cell.place(_hill(draws, index)))
+        prior_bars.append(cell.place(_hill(prior, index)))
     marks = [
         _Cell(column, row, limits[column], limits[row]).place(np.array([[truth[column], truth[row]]]))
         for row in range(len(STRESSES))
@@ -67,11 +68,11 @@ def corner_chart(draws: FloatArray, truth: FloatArray, of_prior: Sequence[bool],
     ]
     hatch = {"shape": "/", "size": 5, "solidity": 0.25, "fgcolor": palette.grey, "bgcolor": "rgba(0,0,0,0)"}
     data = [
-        _filled(grey_bars + greys[0], palette.grey, 0.0, PRIORS, fillpattern=hatch),
-        _filled(greys[1], palette.grey, 0.25, ""),
-        _filled(ours[0], palette.data, 0.25, ""),
-        _filled(ours[1] + bars, palette.data, 0.55, "posterior, 68 and 95 %"),
-        _filled(theirs[0] + prior_bars, palette.prior, None, "prior, at the posterior’s uu + vv + ww", dash=_DASH),
+        _filled(grey_bars + greys[1], palette.grey, 0.0, PRIORS, fillpattern=hatch),
+        _filled(greys[0], palette.grey, 0.25, ""),
+        _filled(ours[1], palette.data, 0.25, ""),
+        _filled(ours[0] + bars, palette.data, 0.55, "posterior, 68 and 95 %"),
+        _filled(theirs[1] + prior_bars, palette.prior, None, "prior, at the posterior’s uu + vv + ww", dash=_DASH),
         _filled([_frame(_Cell(c, r, (0, 1), (0, 1))) for r in range(6) for c in range(r + 1)], palette.faint, None, ""),
         {
             "type": "scatter",
@@ -117,16 +118,21 @@ class _Cell:
 def corner_limits(truth: FloatArray) -> FloatArray:
     """Return limits of the axes, shape (6, 2), m² s⁻², that are the same for every scan in a flow."""
     trace = float(truth[:3].sum())
-    high = np.maximum(2.4 * truth[:3], 0.45 * trace)
+    high = np.maximum(2.4 * truth[:3], 0.7 * trace)  # a variance that no beam sees goes far beyond its truth
     cross = 0.45 * trace
     return np.array([[0.0, high[0]], [0.0, high[1]], [0.0, high[2]], *[[-cross, cross]] * 3])
 
 
-def _hill(values: FloatArray, ends: FloatArray) -> FloatArray:
-    """Return the density of one stress as a closed outline, (n, 2)."""
-    place, height = density(values, float(ends[0]), float(ends[1]))
-    edge = [ends[0], *place.tolist(), ends[1]]
-    return np.column_stack([edge, [0.0, *height.tolist(), 0.0]])
+def _outlines(draws: FloatArray, column: int, row: int) -> list[list[_Line]]:
+    """Return the lines that hold 68 and 95 % of draws (n, 6) in a panel."""
+    positive = (column < _VARIANCES, row < _VARIANCES)
+    return outlines(draws[:, column], draws[:, row], positive=positive, n_grid=_CELLS)
+
+
+def _hill(draws: FloatArray, index: int) -> _Line:
+    """Return the density of one stress as a closed outline, (n, 2), 1 at most."""
+    place, height = smooth(draws[:, index], positive=index < _VARIANCES, n_grid=_CELLS)
+    return np.column_stack([[place[0], *place, place[-1]], [0.0, *(height / height.max()), 0.0]])
 
 
 def _frame(cell: _Cell) -> FloatArray:
@@ -185,7 +191,7 @@ def _corner_words(limits: FloatArray, of_prior: Sequence[bool], palette: Palette
                     "xanchor": anchor,
                     "yanchor": "top",
                     "yshift": -18,
-                    "text": f"{value:.2g}",
+                    "text": f"{value:.2g}".replace("-", "−"),
                     "font": {"size": 9},
                 }
             )
@@ -210,7 +216,7 @@ def _corner_words(limits: FloatArray, of_prior: Sequence[bool], palette: Palette
                         "y": place,
                         "xanchor": "right",
                         "yanchor": anchor,
-                        "text": f"{value:.2g}",
+                        "text": f"{value:.2g}".replace("-", "−"),
                         "font": {"size": 9},
                         "xshift": -4,
                     }

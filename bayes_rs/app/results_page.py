@@ -18,6 +18,7 @@ from bayes_rs.app.pictures import picture
 from bayes_rs.app.record_view import corner_of, record_chart, record_rows, record_table, spectra_of
 from bayes_rs.app.site import Input, Output, Site, State, ctx, dcc, html, no_update, one_line
 from bayes_rs.errors import InputError
+from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.settings import Settings
 from bayes_rs.intervals import interval_words
 from bayes_rs.models import SCANS
@@ -252,6 +253,7 @@ def _view(found: Opened, what: Mapping[str, Any]) -> Any:
     parts: list[Any] = [
         html.H2(found.name),
         html.P(found.kind[0].upper() + found.kind[1:] + "."),
+        *(_headline(fit) if fit is not None else []),
         html.Details([html.Summary("In words"), html.Ul([html.Li(line) for line in found.lines], className="facts")]),
     ]
     asked = list(found.ranges)
@@ -321,6 +323,12 @@ def _view(found: Opened, what: Mapping[str, Any]) -> Any:
         )
     ]
     return parts
+
+
+def _headline(fit: Fit) -> list[Any]:
+    """Return what a fit found, in three lines."""
+    rows = [part for name, words in fit.headline().rows() for part in (html.Dt(name), html.Dd(words))]
+    return [html.Dl(rows, className="found")]
 
 
 def _first(found: Opened) -> int:

@@ -49,6 +49,7 @@ class ScanPage:
         self.site = site
         self.answers = Answers()
         self._ready = threading.Event()
+        self._asked: dict[str, tuple[ScanChoice, FlowChoice]] = {}  # what each visit asked last
         site.page("/scan", self.layout)
         for slider in (*_SLIDERS, _SIMULATED):
             unit = f" {slider.unit}" if slider.unit and slider.unit != "°" else slider.unit
@@ -63,11 +64,14 @@ class ScanPage:
                 Output("numbers", "children"),
                 Output("found", "children"),
                 Output("scan-message", "children"),
-                Output("to-compare", "data"),
             ],
             [Input("asked", "data"), State("visit", "data")],
         )
-        site.answer(self.posterior, Output("corner", "figure"), [Input("asked", "data"), State("visit", "data")])
+        site.answer(
+            self.posterior,
+            [Output("corner", "figure"), Output("to-compare", "data")],
+            [Input("asked", "data"), State("visit", "data")],
+        )
         site.answer(
             self.compare,
             [
@@ -140,42 +144,48 @@ class ScanPage:
     def follow(self, asked: Sequence[Any] | None, visit: str) -> tuple[Any, ...]:
         """Answer the move of a slider: the page's scan, beside those presets that are known in this flow."""
         if not asked:
-            return (no_update,) * 5
+            return (no_update,) * 4
         *numbers, centre, presets, _, theme = asked
         began = time.perf_counter()
         try:
             scan, flow = _choices(numbers, centre)
             names = _presets(presets)
+            self._asked[visit] = scan, flow
             mine = self.site.latest.answer(f"{visit}", lambda: self.answers.get(scan, flow))
         except InputError as error:
-            return (*[no_update] * 3, one_line(error), no_update)
+            return (*[no_update] * 3, one_line(error))
         if mine is None:
-            return (no_update,) * 5
+            return (no_update,) * 4
         if not self._ready.is_set():  # once the first answer is there, what the sliders would wait for is made
             self._ready.set()
             threading.Thread(target=make_ready, daemon=True).start()
         known = [one for name in names if (one := self.answers.known(name, flow)) is not None]
-        waiting = {"scan": vars(scan), "flow": vars(flow), "presets": names, "theme": theme}
         return (
             widths_chart(mine, known, theme),
             numbers_table(mine, known),
             headline(mine, flow, time.perf_counter() - began),
             "",
-            waiting if len(known) < len(names) else no_update,
         )
 
-    def posterior(self, asked: Sequence[Any] | None, visit: str) -> Any:
-        """Answer the same move with the corner plot of a simulated record; bad input is said beside the widths."""
+    def posterior(self, asked: Sequence[Any] | None, visit: str) -> tuple[Any, Any]:
+        """Answer the same move with the corner plot of a simulated record; bad input is said beside the widths.
+
+        Presets that are not known in this flow are asked for after it, so that nothing waits for them.
+        """
         if not asked:
-            return no_update
-        *numbers, centre, _, record, theme = asked
+            return (no_update,) * 2
+        *numbers, centre, presets, record, theme = asked
         try:
             scan, flow = _choices(numbers, centre)
-            which = _record(record)
+            names, which = _presets(presets), _record(record)
             mine = self.site.latest.answer(f"{visit} corner", lambda: self.answers.get(scan, flow))
         except InputError:
-            return no_update
-        return no_update if mine is None else corner_chart(mine.draws[which], mine.truth, mine.of_prior, theme)
+            return (no_update,) * 2
+        if mine is None:
+            return (no_update,) * 2
+        chart = corner_chart(mine.draws[which], mine.truth, mine.of_prior, theme)
+        waiting = {"scan": vars(scan), "flow": vars(flow), "presets": names, "theme": theme}
+        return chart, no_update if all(self.answers.known(name, flow) for name in names) else waiting
 
     def compare(self, waiting: Mapping[str, Any] | None, visit: str) -> tuple[Any, ...]:
         """Add the presets that were not known yet."""
@@ -193,6 +203,8 @@ class ScanPage:
             if found is None:
                 return (no_update,) * 3
             others.append(found)
+        if self._asked.get(visit) != (scan, flow):
+            return (no_update,) * 3  # the page shows another scan by now
         mine = self.answers.get(scan, flow)
         return widths_chart(mine, others, waiting["theme"]), numbers_table(mine, others), message
 
@@ -241,7 +253,7 @@ def _record(value: object) -> int:
 def headline(mine: Answer, flow: FlowChoice, seconds: float) -> list[Any]:
     """Say what the scan would know, in a sentence, and how long the answer took."""
     priors = [name for name, own in zip(STRESSES, mine.of_prior, strict=True) if own]
-    said = f"{', '.join(priors)} {'is' if len(priors) == 1 else 'are'} the prior’s" if priors else "none is the prior’s"
+    said = f"{', '.join(priors) or 'none'} {'are' if len(priors) > 1 else 'is'} mostly the prior’s"
     return [
         html.Strong(f"{mine.learnt:.1f} of 6 stresses learnt from a record; {said}."),
         f" The scan {mine.sight}. Turbulence intensity {100 * flow.intensity:.1f} %, ",

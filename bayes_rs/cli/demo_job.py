@@ -86,7 +86,7 @@ def run_demo(output: str | Path, *, seed: int = 1, overwrite: bool = False) -> I
     yield "Width of the 90 % credible interval, m² s⁻², mean over the records"
     yield table.to_string(float_format=lambda value: f"{value:.2f}")
     yield ""
-    yield "truth: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STRESSES, stresses, strict=True))
+    yield "truth: " + ", ".join(f"{name} {value:z.2f}" for name, value in zip(STRESSES, stresses, strict=True))
     yield ""
     yield (
         "Fifty beams at one opening angle tell no more of vv and ww than the prior does: what is "

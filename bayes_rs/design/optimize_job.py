@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.design.optimizing import ScanOptimum, optimize_scan
 from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.output import check_output_folder, output_folder, write_run
 from bayes_rs.pictures import COLOURS, POSTERIOR_COLOUR, Picture
 
+_PAPER = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # behind numbers that stand on a line
 _MOST_MARKED = 30  # beams that get their number in the picture
 
 
@@ -122,7 +124,7 @@ def plot_optimum(best: ScanOptimum) -> Picture:
         Left: where the beams cross the plane at the largest focus distance, with rings of equal opening angle and the
         limit; blocked sectors are shaded. Right: the criterion of each start, increasing, and of the well-known scans.
     """
-    figure = Picture(figsize=(10.0, 4.8), layout="constrained")
+    figure = Picture(figsize=(10.0, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw_beams(left, best)
     _draw_starts(right, best)
@@ -133,12 +135,14 @@ def _draw_beams(panel: Axes, best: ScanOptimum) -> None:
     angles = np.deg2rad(best.angles_deg)
     limit = float(best.details["largest_angle_deg"])
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
+    free = _widest_gap(angles[angles[:, 0] > 0.0, 1])
     for ring in np.linspace(limit / 3.0, limit, 3):
         edge: dict[str, Any] = (
             {"color": "0.3", "linewidth": 1.2} if ring == limit else {"color": "0.75", "linewidth": 0.8}
         )
         panel.plot(ring * np.cos(turn), ring * np.sin(turn), **edge)
-        panel.annotate(f"{ring:.3g}°", (0.0, -ring), color="0.4", fontsize=8, ha="center", va="bottom")
+        place = (ring * np.cos(free), ring * np.sin(free))
+        panel.annotate(f"{ring:.3g}°", place, color="0.4", fontsize=8, ha="center", va="center").set_bbox(_PAPER)
     for start, end in best.details["blocked_deg"]:
         sector = np.deg2rad(start + np.mod(end - start, 360.0) * np.linspace(0.0, 1.0, 91))
         edges = limit * np.stack([np.cos(sector), np.sin(sector)])
@@ -152,6 +156,16 @@ def _draw_beams(panel: Axes, best: ScanOptimum) -> None:
     panel.set_xlabel(f"opening angle towards {names[0]} [°]")
     panel.set_ylabel(f"opening angle towards {names[1]} [°]")
     panel.set_title(f"{len(angles)} beams, numbered in the order of the scan", fontsize=10)
+
+
+def _widest_gap(theta: FloatArray) -> float:
+    """Return the middle of the widest gap between directions θ, rad: what stands there lies on no beam."""
+    if not len(theta):
+        return -0.5 * np.pi
+    ordered = np.sort(np.mod(theta, 2.0 * np.pi))
+    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+    widest = int(np.argmax(gaps))
+    return float(ordered[widest] + 0.5 * gaps[widest])
 
 
 def _draw_starts(panel: Axes, best: ScanOptimum) -> None:
@@ -174,7 +188,7 @@ def _draw_starts(panel: Axes, best: ScanOptimum) -> None:
     if high - low < 1e-3 * abs(best.value):  # starts that agree to rounding must not look like a slope
         panel.set_ylim(best.value - 5e-3 * abs(best.value), best.value + 5e-3 * abs(best.value))
     panel.ticklabel_format(axis="y", useOffset=False)
-    panel.legend(fontsize=8, frameon=False)
+    panel.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
 
 
 def _plain(value: Any) -> Any:

@@ -53,7 +53,6 @@ class ScanLimits:
     centre: bool | None = option(
         None,
         "Whether one beam points along the axis; if not given, both are tried where cones are shared",
-        flag="--centre/--no-centre",
     )
     blocked_deg: Sequence[str | Sequence[float]] = option(
         (),

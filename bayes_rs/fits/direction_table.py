@@ -32,32 +32,26 @@ def direction_rows(
     record: NDArray[Any], weight: FloatArray, vectors: FloatArray, contraction: FloatArray, of_shape: FloatArray
 ) -> pd.DataFrame:
     """Lay contractions (n_record, 6) along the directions of R out as the table of `Fit.directions`."""
-    n_record = len(record)
-    return pd.DataFrame(
+    rows = pd.DataFrame(
         {
             "record": np.repeat(record, len(STRESSES)),
-            "direction": np.tile(np.arange(len(STRESSES)), n_record),
-            "weight": np.tile(weight, n_record),
-            "seen": np.tile(weight > 0.0, n_record),
+            "direction": np.tile(np.arange(len(STRESSES)), len(record)),
+            "weight": np.tile(weight, len(record)),
             "contraction": contraction.ravel(),
             "contraction_shape": of_shape.ravel(),
-            **{name: np.tile(vectors[:, index], n_record) for index, name in enumerate(STRESSES)},
+            **dict(zip(STRESSES, np.tile(vectors.T, len(record)), strict=True)),
         }
     )
+    return rows.assign(seen=rows["weight"] > 0.0)[list(COLUMNS)]
 
 
 def direction_medians(
     weight: FloatArray, vectors: FloatArray, contraction: FloatArray, of_shape: FloatArray
 ) -> pd.DataFrame:
     """Return the table of the median record: a row for each direction, in their order; NaN if none was fitted."""
-    return pd.DataFrame(
-        {
-            "weight": weight,
-            "contraction": median_of_known(contraction),
-            "contraction_shape": median_of_known(of_shape),
-            **{name: vectors[:, index] for index, name in enumerate(STRESSES)},
-        }
-    )
+    medians = (median_of_known(values)[np.newaxis] for values in (contraction, of_shape))
+    rows = direction_rows(np.zeros(1, dtype=np.int64), weight, vectors, *medians)
+    return rows.drop(columns=["record", "direction", "seen"])
 
 
 def median_of_known(values: FloatArray) -> FloatArray:

@@ -356,7 +356,9 @@ class FitData:
             )
         if len(match) == 0:
             first, last = (str(time)[:19] for time in self.time[[0, -1]])
-            raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC).")
+            earlier = self.time[self.time < stamp.to_datetime64()]
+            near = f"; the last before it at {str(earlier.max())[:19]}" if len(earlier) else ""
+            raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC){near}.")
         return int(match[0])
 
     def _draws_of(self, record: NDArray[np.int64], dataset: str, names: Sequence[str]) -> FloatArray:

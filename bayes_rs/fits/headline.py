@@ -28,6 +28,8 @@ _MOST_FLAGS = 3
 """Flags that the headline names; of more it says how many there are."""
 _SPREAD = (0.05, 0.95)
 """Quantiles over the records that say how they differ."""
+_TOGETHER = "all records together:"
+"""How lines of the beams begin that name a beam; the others name a cause after their colon."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,9 @@ def _decided_at(shares: FloatArray) -> str:
     some = [f"{name} at {number}" for name, number in zip(STRESSES, count, strict=True) if 0 < number < total]
     measured = [f"{_listed(always)} at all ranges"] if always else []
     parts = [f"the beams measured {', '.join([*measured, *some])} of {total}"]
-    parts += [f"{_listed(never)} {'is' if len(never) == 1 else 'are'} mostly the prior's at all"] if never else []
+    intensity = ", and so is TI" if "uu" in never else ""
+    verb = "is" if len(never) == 1 else "are"
+    parts += [f"{_listed(never)} {verb} mostly the prior's at all{intensity}"] if never else []
     return "; ".join(parts)
 
 
@@ -261,15 +265,26 @@ def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[
     parts = [f"{counts[word]} of {len(flags)} records: {_meaning(word)}" for word in ordered[:1]]
     parts += [f"{counts[word]}: {_meaning(word)}" for word in ordered[1:_MOST_FLAGS]]
     if len(ordered) > _MOST_FLAGS:
-        parts.append(f"and {len(ordered) - _MOST_FLAGS} more flags")
+        more = len(ordered) - _MOST_FLAGS
+        parts.append(f"and {more} more flag{'s' * (more > 1)}")
     files, doubts = dict(run.get("bad_files", {})), [line for own in fits for line in own.run["doubts"]]
     late = int(run.get("samples_late", 0))
     parts += [f"{len(files)} file{'s' * (len(files) > 1)} could not be used"] if files else []
     parts += [f"{late} samples came too late for their record"] if late else []
     parts += ["some of the data are not believed"] if doubts else []
     parts += ["the campaign's chains fell short"] if any(campaign_failures(own.run["campaign"]) for own in fits) else []
-    numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts}
+    parts += _of_all_records(fits)
+    together = [line for own in fits for line in own.run.get("beams", {}).get("together", [])]
+    numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts, "beams": together}
     return "; ".join(parts) or NOTHING, numbers
+
+
+def _of_all_records(fits: Sequence[FitData]) -> list[str]:
+    """Say what the beams show over all records, though no record may tell it by itself."""
+    told = [lines for own in fits if (lines := own.run.get("beams", {}).get("together", []))]
+    if len(fits) == 1:
+        return [line if line.startswith(_TOGETHER) else line.partition(": ")[0] for lines in told for line in lines]
+    return [f"{_TOGETHER} the beams are not as the model has them at {len(told)} of {len(fits)} ranges"] if told else []
 
 
 def _meaning(word: str) -> str:

@@ -447,7 +447,7 @@ class RangedFit(Fit):
         of = " or ".join(dict.fromkeys(table["of"]))
         lines.append(f"TI with {which}, and stresses, m² s⁻² ({of})")
         marked = is_priors(table["decided"].to_numpy(dtype=np.float64)).any()
-        return [*lines, *(["*: more the prior's than the data's"] if marked else [])]
+        return [*lines, *(["*: mostly the prior's"] if marked else [])]
 
     @property
     def words(self) -> list[str]:
@@ -525,5 +525,5 @@ def _with_intensity(fit: Fit, record: int | None = None) -> pd.DataFrame:
 
 
 def _marked(row: Mapping[Any, Any], digits: int) -> str:
-    """Write an estimate, with a star where it is more the prior's than the data's."""
-    return f"{row['estimate']:.{digits}f}{'*' if is_priors(row['decided']) else ' '}"
+    """Write an estimate, with a star where it is mostly the prior's."""
+    return f"{row['estimate']:z.{digits}f}{'*' if is_priors(row['decided']) else ' '}"

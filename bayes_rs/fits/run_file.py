@@ -61,6 +61,7 @@ class _Told(Open):
 
 class _Beams(Open):
     words: list[str] = Field(default_factory=list)
+    together: list[str] = Field(default_factory=list)
 
 
 class RunOfFit(Open):

@@ -188,4 +188,5 @@ def _draw_hyper(axis: Axes, hyper: pd.DataFrame) -> None:
 
 def _value(row: dict[Any, Any]) -> str:
     """Return a hyperparameter's mean, interval and the share that the data decided."""
-    return f"{row['mean']:.2f} ({row['low']:.2f} to {row['high']:.2f}), {share_words(row['decided'])}"
+    words = f"{row['mean']:z.2f} ({row['low']:z.2f} to {row['high']:z.2f})".replace("-", "\N{MINUS SIGN}")
+    return f"{words}, {share_words(row['decided'])}"

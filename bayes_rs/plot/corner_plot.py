@@ -114,7 +114,8 @@ def corner(
             if i == j:
                 _draw_one(panel, prior[:, i], posterior[:, i], i, of_prior=of_prior)
                 low, high = interval_of(posterior[:, i], prob, kind)
-                words = f"{STRESSES[i]} = {np.median(posterior[:, i]):.2f}\n{low:.2f} to {high:.2f}\n"
+                words = f"{STRESSES[i]} = {np.median(posterior[:, i]):z.2f}\n{low:z.2f} to {high:z.2f}\n"
+                words = words.replace("-", "\N{MINUS SIGN}")
                 words += _share_line(float(decided[i]))
                 # only the first needs room of its own: above the others there is no panel
                 place: dict[str, Any] = {

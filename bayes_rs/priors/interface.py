@@ -59,6 +59,7 @@ class Prior(ABC):
         """Say in a notebook what the prior assumes, with a picture of the shape of R that it expects."""
         draws = self.draw(_SHOWN_DRAWS, _WIDTH_SEED)
         low, middle, high = np.quantile(draws, [0.05, 0.5, 0.95], axis=0)
+        middle[np.abs(middle) < 3e-3 * (high - low)] = 0.0  # Monte-Carlo error
         rows = [("assumes", self.in_words())]
         rows += [
             (name, f"median {middle[index]:.3g} m² s⁻², 90 % between {low[index]:.3g} and {high[index]:.3g}")

@@ -206,7 +206,7 @@ def _describe_records(report: Mapping[str, Any]) -> list[str]:
             f"wind from behind the lidar (more than 90° from its axis): {report['records_with_wind_from_behind']} of "
             f"{report['records']} records"
         )
-    meaning = {"too_few_samples": f" (fewer than {report['samples_needed']:g})"}
+    meaning = {"too_few_samples": f" (fewer than {np.ceil(report['samples_needed']):g})"}
     for kind, what in (("beam_flags", "beams of records"), ("record_flags", "records")):
         for name, counted in report[kind].items():
             if counted["count"]:

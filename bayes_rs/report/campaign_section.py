@@ -78,7 +78,7 @@ def campaign_data(shown: CampaignShown) -> dict[str, Any]:
             **in_units,
             "priors": is_priors(hyper["decided"]).astype(np.int64).tolist(),
             "words": [
-                f"{interval(one['mean'], one['low'], one['high'])}, {share_words(one['decided'])}"
+                f"{interval(one['mean'], one['low'], one['high'], digits=2)}, {share_words(one['decided'])}"
                 for one in hyper.to_dict("records")
             ],
         },

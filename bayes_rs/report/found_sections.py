@@ -88,7 +88,7 @@ def shape_section(found: ReportData, data: dict[str, Any]) -> str:
     caption = (
         (key("dot", f"each record: {found.shape.words}") if 0 in data["shape"]["priors"] else "")
         + (key("dot priors", f"hollow grey: {PRIORS} of uu, vv or ww") if 1 in data["shape"]["priors"] else "")
-        + (key("cloud", "draws of the chosen record") if "draws" in data["records"] else "")
+        + (key("cloud", "draws of the chosen record, grey if prior's") if "draws" in data["records"] else "")
         + key("chosen", f"the chosen record: {found.shape.words}")
         + "The Lumley triangle: every realizable tensor is inside; bottom, all three principal variances are equal; "
         "right corner, only one is not zero; upper curve, one is zero."

@@ -105,9 +105,9 @@ def reference_section(found: ReportData, reference: Reference) -> str:
     within = "within" if abs(mrbe) <= BIAS_LIMIT else "outside"
     below = "within" if rrmse <= RRMSE_LIMIT else "above"
     numbers = (
-        f"Over {whole['n_record']} records the mean relative bias error is {_percent(mrbe)} (standard error "
+        f"Over {whole['n_record']} records the mean relative bias error (MRBE) is {_percent(mrbe)} (standard error "
         f"{_percent(whole['mrbe_se'])}), {within} ±{100 * BIAS_LIMIT:g} %, and the relative root mean square error "
-        f"{_percent(rrmse)}, {below} {100 * RRMSE_LIMIT:g} %. The {called}, holds the reference in "
+        f"(RRMSE) {_percent(rrmse)}, {below} {100 * RRMSE_LIMIT:g} %. The {called}, holds the reference in "
         f"{100.0 * whole['coverage']:.0f} % of the records."
     )
     verdict = [numbers, _SCOPE]

@@ -41,7 +41,7 @@ class Series:
     spread_low, spread_high : ndarray, shape (n_point, 6)
         Where nine tenths of a bin's posterior medians are; NaN if not binned.
     priors : ndarray of bool, shape (n_point, 6)
-        Whether the stress is more the prior's than the data's, in more than half of a bin's fitted records.
+        Whether the stress is mostly the prior's, in more than half of a bin's fitted records.
     room : ndarray, shape (2, n_point, 6)
         Ends of the prior's interval at the size that was found; NaN where they are not known.
     intensity : dict of str to ndarray, shape (n_point,)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 NO_VALUE = "–"
+_MINUS = re.compile(r"(?<=[ (])-(?=\d)")
 UNIT = "m² s⁻²"
 STAR = "*: mostly the prior's"
 """What the star of `interval` means."""
@@ -29,11 +31,12 @@ def number(value: float | None, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
-def interval(middle: float, low: float, high: float, *, priors: bool = False) -> str:
-    """Write a number with its interval; a star marks what is more the prior's than the data's."""
+def interval(middle: float, low: float, high: float, *, priors: bool = False, digits: int = 3) -> str:
+    """Write a number with its interval; a star marks what is mostly the prior's."""
     if not np.isfinite(middle):
         return NO_VALUE
-    return f"{number(middle)}{'*' if priors else ''} ({number(low)} to {number(high)})"
+    middle_words, *ends = (number(value, digits) for value in (middle, low, high))
+    return f"{middle_words}{'*' if priors else ''} ({ends[0]} to {ends[1]})"
 
 
 def table(caption: str, header: Sequence[str], rows: Iterable[Sequence[Any]], *, n_text: int = 1) -> str:
@@ -75,8 +78,9 @@ def folded(summary: str, content: str) -> str:
 
 
 def lines(texts: Iterable[str]) -> str:
-    """Return a list of texts."""
-    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>"
+    """Return a list of texts, whose negative numbers get a true minus."""
+    items = (f"<li>{escape(_MINUS.sub('−', text))}</li>" for text in texts)
+    return f"<ul>{''.join(items)}</ul>"
 
 
 def pairs(entries: Iterable[tuple[str, str]], kind: str) -> str:

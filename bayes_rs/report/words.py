@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_rs.fits.direction_table import direction_words
+from bayes_rs.fits.direction_table import direction_name, direction_words
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.layout import TURBINE
@@ -69,7 +69,7 @@ def decided_words(found: ReportData) -> list[str]:
 
 def hundredths(middle: float, low: float, high: float) -> str:
     """Write a share with its interval, to a hundredth."""
-    texts = [f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", "−") for value in (middle, low, high)]
+    texts = [f"{value:z.2f}".replace("-", "−") for value in (middle, low, high)]
     return f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
@@ -108,14 +108,9 @@ def direction_rows(found: ReportData) -> list[tuple[str, ...]]:
 
 
 def _direction_words(found: ReportData) -> list[str]:
-    rows = direction_rows(found)
-    unseen = [row for row in rows if row[2] == "no"]
+    names = [direction_name(row) for row in found.directions[list(STRESSES)].to_numpy(dtype=np.float64)]
+    unseen = [name for name, seen in zip(names, found.directions["weight"] > 0.0, strict=True) if not seen]
     if not unseen:
-        return [
-            f"Of the six directions of R the beams see all; worst {rows[-1][0]}, contraction of shape {rows[-1][3]}."
-        ]
-    return [
-        f"Of the six directions of R no beam sees {len(unseen)}: "
-        + "; ".join(f"{row[0]} (contraction of shape {row[3]})" for row in unseen)
-        + ". What the page says of them is the prior's, and what follows from the others."
-    ]
+        return [f"Of the six directions of R the beams see all, {names[-1]} least."]
+    said = f"Of the six directions of R no beam sees {len(unseen)}: {'; '.join(unseen)}."
+    return [f"{said} What the page says of them is the prior's, and what follows from the others."]

@@ -30,6 +30,7 @@ NOISE_SHARE = 0.2
 
 _NODE_STEP, _REACH = 0.12, 3.0  # of ln L; standard deviations of the prior
 _FINE_STEP = 0.01  # of ln L, for sums over the posterior
+_TOLERANCE = 1e-4  # of velocity covariances, relative to the variance of u
 _UNITS = {
     "length_scale": "m",
     "length_scale_log_sd": "1",
@@ -411,7 +412,11 @@ class _States:
         return members[known]
 
     def shapes(self, r: int, beam: int, length_scale: FloatArray, gamma: float) -> tuple[FloatArray, FloatArray]:
-        """Return the expected spectra of unit size, and that of white noise, of one beam of a record."""
+        """Return the expected spectra of unit size, and that of white noise, of one beam of a record.
+
+        Where a probe volume leaves next to nothing, errors of the covariances can make a spectrum negative: it is at
+        least that of white noise of their tolerance.
+        """
         windows = self.windows(self.present[r, beam])
         covariance = scaled_autocovariance(
             self.scan.at_yaw(self.yaw[r])[beam],
@@ -420,8 +425,10 @@ class _States:
             gamma=gamma,
             probe=self.scan.probe,
             probe_length=float(self.scan.probe_length[beam]),
+            tolerance=_TOLERANCE,
         )
-        return covariance @ windows.T, windows[:, 0]
+        white = windows[:, 0]
+        return np.maximum(covariance @ windows.T, _TOLERANCE * covariance[:, :1] * white), white
 
     def profile(
         self, r: int, beams: NDArray[np.int64], length_scale: FloatArray, gamma: float

@@ -25,7 +25,9 @@ PAIR_TOLERANCE = 0.003
 """Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.15 %."""
 
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
-_ROADS = ((0.25, 5e-3), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
+COARSE = 5e-3
+"""Tolerance of the velocity covariances of most pairs, where that does."""
+_ROADS = ((0.25, COARSE), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
 _CAUTION = 5.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}

@@ -364,7 +364,7 @@ def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) 
     return _build_table(float(gamma), *(4.0 ** np.ceil(0.5 * np.log2([along, across]))), tolerance)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)  # the app has two of each Γ
 @one_thread()  # what is kept must not depend on who asked for it first
 def _build_table(gamma: float, along: float, across: float, tolerance: float) -> CovarianceTable:
     promised, resolution = resolution_for(tolerance, gamma)
@@ -396,7 +396,7 @@ def _harmonic_covariances(
     gamma: float, x: FloatArray, distance: FloatArray, resolution: Resolution
 ) -> list[FloatArray]:
     """Return, for each component, the angular harmonics of the covariance, shape (n_harmonic, n_distance, n_along)."""
-    harmonics = _harmonics_of_tables(gamma, resolution)
+    harmonics = _harmonics_of_tables(gamma, resolution._replace(table_step=0.0, n_direction=0))
     cosine, sine = _fourier_weights(x, resolution)
     parts = np.empty((len(STRESSES), resolution.n_harmonic, len(distance), len(x)))
     for m, hankel in enumerate(_hankel_weights(distance, resolution)):
@@ -408,7 +408,7 @@ def _harmonic_covariances(
 
 @lru_cache(maxsize=2)
 def _harmonics_of_tables(gamma: float, resolution: Resolution) -> FloatArray:
-    """Return the harmonics on the grid of wave numbers that all tables of one Γ have, whatever they reach."""
+    """Return the harmonics on the grid of wave numbers that all tables of one Γ have, whatever they reach or hold."""
     k1 = np.exp(_grid(resolution.log_k1, resolution.step))
     kappa = np.exp(_grid(resolution.log_kappa, resolution.step))
     harmonics = _harmonics(k1, kappa, gamma, resolution)

@@ -50,6 +50,7 @@ const campaignHyper = (holder, width) => {
   const left = small ? 8 : 236;
   const right = small ? width - 8 : width - 262;
   const svg = picture(width, 46 + row * name.length, "Hyperparameters: posterior on its prior", `${name.length} rows; the prior's interval goes from −1 to 1.`);
+  if (small) svg.setAttribute("class", "small");
   const box = { left, right, top: 6, bottom: 6 + row * name.length };
   const range = extent([-1.1, 1.1, ...low, ...high]);
   const { x, inside } = axes(svg, box, range, [name.length, 0], { xTicks: ticks(...range, 6), yTicks: [], xName: "in units of the prior's interval" });

@@ -34,6 +34,7 @@ const corner = (holder, full) => {
     return;
   }
   const small = width < 520;
+  const called = (c) => `${data.stresses[c]}${isPriors(chosen, c) ? "*" : ""}`;
   const posterior = drawsOf(chosen);
   const shapes = priorOf(posterior, numbers.mean);
   const ranges = data.stresses.map((_, c) => {
@@ -61,6 +62,7 @@ const corner = (holder, full) => {
     const inset = (small ? 0.16 : 0.08) * (high - low); // labels of neighbours must not touch
     return ticks(low + inset, high - inset, most);
   };
+  const beneath = (c) => [4, 3].map((most) => near(c, most)).find((some) => some.reduce((sum, [, words]) => sum + 8 * words.length + 6, 0) < cell) || near(c, 2);
   for (let row = 0; row < 6; row += 1) {
     for (let column = 0; column <= row; column += 1) {
       const box = { left: round(left + column * (cell + gap)), top: round(20 + row * (cell + gap)) };
@@ -83,12 +85,12 @@ const corner = (holder, full) => {
         }
         const before = shapes && histogram(shapes[c], ranges[c], bins);
         const y = scale([0, 1.25 * Math.max(...heights, ...(before || [0]))], [box.bottom, box.top]);
-        inside.append(path(`M${x(numbers.low[c])} ${box.top}H${x(numbers.high[c])}V${box.bottom}H${x(numbers.low[c])}Z`, "outer"));
+        inside.append(path(`M${x(numbers.low[c])} ${box.top}H${x(numbers.high[c])}V${box.bottom}H${x(numbers.low[c])}Z`, kindOf("outer", isPriors(chosen, c))));
         inside.append(path(`${outline(heights, ranges[c], x, y)}Z`, kindOf("band", isPriors(chosen, c))));
         inside.append(path(outline(heights, ranges[c], x, y), kindOf("middle", isPriors(chosen, c))));
         if (before) inside.append(path(outline(before, ranges[c], x, y), "prior"));
         inside.append(path(`M${x(numbers.median[c])} ${box.top}V${box.bottom}`, "zero"));
-        svg.append(text(box.left + cell / 2, box.top - 5, small ? `${data.stresses[c]}${isPriors(chosen, c) ? "*" : ""}` : `${data.stresses[c]} ${written(numbers.median[c], 2)}${isPriors(chosen, c) ? ", prior's" : ""}`, { "text-anchor": "middle", class: "strong" }));
+        svg.append(text(box.left + cell / 2, box.top - 5, small ? called(c) : `${called(c)} ${written(numbers.median[c], 2)}`, { "text-anchor": "middle", class: "strong" }));
       } else {
         const y = scale(ranges[row], [box.bottom, box.top]);
         const both = isPriors(chosen, row) || isPriors(chosen, column); // one of the two is the prior's
@@ -96,7 +98,7 @@ const corner = (holder, full) => {
         const inCell = [scale([0, size], [box.left, box.right]), scale([0, size], [box.bottom, box.top])];
         const contours = (columns, kind) => {
           if (!columns) return;
-          const { grid, levels } = density(columns[column], columns[row], ranges[column], ranges[row], size);
+          const { grid, levels } = density(columns[column], columns[row], ranges[column], ranges[row], size, [column < 3, row < 3]);
           const d = levels.map((height) => contour(grid, size, height, ...inCell)).join("");
           if (d) inside.append(path(d, kind));
         };
@@ -115,8 +117,8 @@ const corner = (holder, full) => {
         }
       }
       if (row === 5) {
-        for (const [value, words] of near(column, small ? 2 : 4)) svg.append(text(x(value), box.bottom + 13, words, { "text-anchor": "middle" }));
-        svg.append(text(box.left + cell / 2, box.bottom + (small ? 27 : 30), data.stresses[column], { "text-anchor": "middle", class: "strong" }));
+        for (const [value, words] of small ? near(column, 2) : beneath(column)) svg.append(text(x(value), box.bottom + 13, words, { "text-anchor": "middle" }));
+        svg.append(text(box.left + cell / 2, box.bottom + (small ? 27 : 30), called(column), { "text-anchor": "middle", class: "strong" }));
       }
       svg.append(path(`M${box.left} ${box.top}H${box.right}V${box.bottom}H${box.left}Z`, "frame"));
     }
@@ -130,7 +132,8 @@ const cornerWords = () => {
   const posterior = drawsOf(chosen);
   holder.replaceChildren();
   if (posterior) {
-    holder.append(key("dot", `${posterior[0].length} draws of the posterior, contours hold 68 and 95 %`));
+    const measured = data.stresses.filter((_, c) => !isPriors(chosen, c)).length;
+    holder.append(key(kindOf("dot", measured < 2), `${posterior[0].length} draws of the posterior, contours hold 68 and 95 %`));
   } else {
     holder.append(key("band", "68 %"), key("outer", "95 % of a Gaussian with the posterior's mean and covariance: the draws are not in this page, and the posterior itself is realizable and skewed"));
   }

@@ -20,7 +20,7 @@ const shape = (holder, width) => {
     const at = -1 / 6 + k / 60 * 0.5;
     edge += `L${x(at)} ${y(Math.sqrt(1 / 27 + 2 * at ** 3))}`;
   }
-  [[0, 0, "isotropic", "start", 8, -4], [1 / 3, 1 / 3, "one component", "end", -8, -6], [-1 / 6, 1 / 6, "two, equal", "start", -4, -8]].forEach(
+  [[0, 0, "isotropic", "start", 16, -4], [1 / 3, 1 / 3, "one component", "end", -8, -6], [-1 / 6, 1 / 6, "two, equal", "start", -4, -18]].forEach(
     ([atXi, atEta, words, anchor, dx, dy]) => svg.append(text(x(atXi) + dx, y(atEta) + dy, words, { "text-anchor": anchor })));
   const cloud = path("M0 0", "cloud");
   const mark = path("M0 0", "chosen");
