@@ -56,6 +56,11 @@ class TestRays:
             tmp_path / "six.nc", engine="h5netcdf"
         )
         found = look(tmp_path / "six.nc")
+        azimuths = [line.split()[1] for line in found.lines if line.startswith("  azimuth")]
+        assert azimuths == ["0.0", "0.0", "72.0", "144.0", "216.0", "288.0"]
+        (tmp_path / "cut.nc").write_bytes((tmp_path / "six.nc").read_bytes()[:3000])
+        with pytest.raises(InputError, match=r"cut.nc' cannot be read as NetCDF: .*; check that it is complete"):
+            look(tmp_path / "cut.nc")
         assert found.lines[1].startswith("format: windcube, rays that say where they point; positive away, ")
         assert "(by the format: positive, time_stamp, status_valid)" in found.lines[1]
         assert found.lines[2].startswith("scan 1: 6 beams (azimuth, elevation) (0.0, 75.0), ")

@@ -175,11 +175,12 @@ def _of_rays(head: str, paths: Sequence[Path], first: Rays, asked: FileOptions, 
 def _directions(found: CommonDirections, velocity: FloatArray) -> list[str]:
     """Say where beams point, how many rays each has, and what the mean velocity is."""
     azimuth, elevation = angles_of(found.direction)
-    lines = []
-    for turn, up, rays in zip((azimuth + 0.05) % 360.0 - 0.05, elevation, found.rays, strict=True):
+    turns, lines = (azimuth + 0.05) % 360.0 - 0.05, []
+    for index in np.lexsort((elevation.round(1), turns.round(1))):
+        turn, up, rays = turns[index], elevation[index], found.rays[index]
         known = velocity[rays][np.isfinite(velocity[rays])]
         mean = f"{known.mean():7.2f}" if len(known) else "      ?"
-        lines.append(f"  azimuth {turn:6.1f}  elevation {up:5.1f}  rays {len(rays):6d}  mean {mean} m/s")
+        lines.append(f"  azimuth {turn:z6.1f}  elevation {up:z5.1f}  rays {len(rays):6d}  mean {mean} m/s")
     return lines
 
 

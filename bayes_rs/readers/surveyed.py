@@ -16,6 +16,8 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
+from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.registry import READERS
@@ -94,6 +96,8 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
                 fits = plain_suffix(plain) in reader.suffixes
                 if name == kind or (kind == "auto" and fits and reader.recognises(plain, nothing, resolved)):
                     return reader.rays(plain, resolved)  # type: ignore[misc]  # those of RAY_READERS are not None
+            if plain_suffix(plain) in NETCDF_SUFFIXES:
+                glance(plain)  # a damaged one says so: no reader recognises it
         except InputError as error:
             raise InputError(str(error).replace(repr(str(plain)), repr(str(path)))) from error
     raise InputError(
