@@ -261,7 +261,7 @@ class WidthCriterion(ScanCriterion):
     """
 
     name = "width"
-    step, precision = 1e-3, 1e-6  # the noise is smooth piece by piece only
+    step, precision = 1e-3, 1e-5  # the noise is smooth piece by piece only: a search for the next digit may never end
 
     def __init__(self, options: CriterionOptions) -> None:
         flows, yaws = options.flows(), options.yaws

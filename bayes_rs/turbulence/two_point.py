@@ -201,7 +201,7 @@ def radial_covariance(
         [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in INDEX_PAIRS], axis=-1
     )
     covariance = np.empty(along_scaled.shape)
-    for part in np.array_split(np.arange(n), max(1, along_scaled.size // _BLOCK)):
+    for part in np.array_split(np.arange(n), max(1, min(n, along_scaled.size // _BLOCK))):
         y, z = across_scaled[part].T
         covariance[part] = table.project(y, z, weights[part], along_scaled[part])
         covariance[part] += isotropic_radial(n_a[part], n_b[part], across_scaled[part], along_scaled[part])
@@ -339,7 +339,7 @@ class CovarianceTable:
         facing, facing_weight = stencil(np.abs(turn) / self.direction_step + (STENCIL // 2), n_direction)
         columns = (near * n_direction)[:, :, np.newaxis] + facing[:, np.newaxis]
         shares = near_weight[:, :, np.newaxis] * facing_weight[:, np.newaxis]
-        return signs, columns.reshape(len(y), -1), shares.reshape(len(y), -1)
+        return signs, columns.reshape(len(y), STENCIL**2), shares.reshape(len(y), STENCIL**2)
 
     def _along(self, lines: FloatArray, x: FloatArray) -> FloatArray:
         return interpolate_rows(lines, np.sign(x) * _stretch(np.abs(x)) / self.table_step - self.along_start)
