@@ -15,8 +15,8 @@ from fuzz.families import FAMILIES
 SEED = 16
 N = {
     "files of radial velocities": 64,
-    "files of our own": 24,
-    "files of several ranges": 16,
+    "files of our own": 12,
+    "files of several ranges": 8,
     "options of commands": 40,
     "calls from Python": 60,
 }
