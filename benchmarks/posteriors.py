@@ -15,6 +15,7 @@ import importlib.util
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -304,7 +305,7 @@ def draw(table: pd.DataFrame) -> Figure:
     panels = figure.subplots(1, len(scans), sharex=True, sharey=True, squeeze=False)[0]
     for panel, scan in zip(panels, scans, strict=True):
         methods = table[table["scan"] == scan].groupby("method", sort=False)
-        for (name, rows), colour in zip(methods, COLOURS, strict=False):
+        for (name, rows), colour in zip(methods, cycle(COLOURS), strict=False):
             strong = str(name).startswith("bayes_rs")
             panel.loglog(
                 rows["ms a record"],

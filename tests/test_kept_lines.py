@@ -32,6 +32,15 @@ def nothing_kept():
         pass
 
 
+def counted(monkeypatch):
+    """Return a list that takes the number of lines of each calculation."""
+    rows, by_rules = [], kept_lines.by_rules
+    monkeypatch.setattr(
+        kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
+    )
+    return rows
+
+
 def state_by_state(monkeypatch, scan, flow, **options):
     """Noise at each wind speed from covariances that are calculated for it alone."""
 
@@ -123,11 +132,7 @@ class TestKept:
             )
 
     def test_other_wind_speeds_calculate_nothing_along_the_wind(self, monkeypatch):
-        rows = []
-        by_rules = kept_lines.by_rules
-        monkeypatch.setattr(
-            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
-        )
+        rows = counted(monkeypatch)
         scan = load_scan("windcube-v2")
         for speed in SPEEDS:
             theory_noise(scan, FLOW, wind_speed=speed)
@@ -152,22 +157,14 @@ class TestKept:
             (second * mirror, first * mirror, -across * side, -along, lengths[:, ::-1]),
         ]
         *given, lengths = (np.concatenate(parts) for parts in zip(*images, strict=True))
-        rows = []
-        by_rules = kept_lines.by_rules
-        monkeypatch.setattr(
-            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
-        )
+        rows = counted(monkeypatch)
         have = kept_covariance(*given, FLOW, lengths=lengths, probe=CW, shortest=2.0)
         assert rows == [3]
         want = probed_covariance(*given, FLOW, lengths=lengths, probe=CW)
         np.testing.assert_allclose(have, want, atol=2e-4 * FLOW.stresses()[0])
 
     def test_a_symmetric_pattern_has_one_line_to_the_left_and_to_the_right(self, monkeypatch):
-        rows = []
-        by_rules = kept_lines.by_rules
-        monkeypatch.setattr(
-            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
-        )
+        rows = counted(monkeypatch)
         theory_noise("windcube-v2", FLOW, wind_speed=9.0, yaw=0.3)
         assert sum(rows) > 0
         rows.clear()
@@ -175,11 +172,7 @@ class TestKept:
         assert rows == []
 
     def test_many_pairs_are_chosen_alike_at_all_wind_speeds(self, monkeypatch):
-        rows = []
-        by_rules = kept_lines.by_rules
-        monkeypatch.setattr(
-            kept_lines, "by_rules", lambda *given, **how: rows.append(len(given[0])) or by_rules(*given, **how)
-        )
+        rows = counted(monkeypatch)
         theory_noise("zx-tm", FLOW, wind_speed=10.0, yaw=0.1)
         assert sum(rows) > 200
         rows.clear()

@@ -22,7 +22,7 @@ from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
 PAIR_TOLERANCE = 0.003
-"""Largest relative error of K (Frobenius) that the shortcuts for many beams may make: widths change by 0.15 %."""
+"""Largest relative error of K (Frobenius) that shortcuts for many beams may make: widths change by less than 1 %."""
 
 _MANY = 400  # distinct pairs of beams with probes: then most are interpolated
 COARSE = 5e-3
