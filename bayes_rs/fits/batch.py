@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
+from bayes_rs.fits.covariance_data import pair_likelihood
+from bayes_rs.fits.covariance_states import PairData
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.uncertain_length import averaged_noise, averaged_reduced
 from bayes_rs.geometry.forward import design_matrix
@@ -68,6 +70,8 @@ class Batch:
         Standard deviations of the records' own ln L, which their noise is averaged over.
     group : ndarray of str, shape (n_record,), optional
         The class of each record within a campaign.
+    pairs : PairData, optional
+        The correlations between beams, where they are used.
     """
 
     variance: FloatArray
@@ -84,6 +88,7 @@ class Batch:
     scatter: FloatArray | None = None
     length_log_sd: FloatArray | None = None
     group: NDArray[np.str_] | None = None
+    pairs: PairData | None = None
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -106,6 +111,7 @@ class Batch:
             scatter=None if self.scatter is None else self.scatter[records],
             length_log_sd=None if self.length_log_sd is None else self.length_log_sd[records],
             group=None if self.group is None else self.group[records],
+            pairs=None if self.pairs is None else self.pairs.take(records),
         )
 
     def turned(self, gain: FloatArray) -> FloatArray:
@@ -208,7 +214,12 @@ def posteriors(batch: Batch, noise: Noise, options: FitOptions) -> list[tuple[ND
 
 def _reduced_beforehand(batch: Batch, noise: Noise, options: FitOptions) -> NDArray[np.bool_]:
     """Return which records, those of a scan of many beams that use them all, have their noise reduced beforehand."""
-    can = options.target != "sonic" and options.likelihood == "log-normal" and ReducedNoise.suits(noise)
+    can = (
+        options.target != "sonic"
+        and options.information == "variances"
+        and options.likelihood == "log-normal"
+        and ReducedNoise.suits(noise)
+    )
     return np.asarray(batch.used.all(axis=1)) if can else np.zeros(len(batch), dtype=np.bool_)
 
 
@@ -346,6 +357,11 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
+        if options.information == "covariances":
+            parts.append(_with_covariances(batch, noise, options, float(factor), gain))
+            if factor == 1.0:
+                at_record = at_node
+            continue
         parts.append(
             make_likelihood(
                 options.likelihood,
@@ -365,6 +381,32 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
     likelihood = parts[0] if len(parts) == 1 else MixtureLikelihood(tuple(parts), weights)
     nuisances = RecordNuisances(options.nuisances, batch.yaw, batch.median_noise(options), batch.yaw_sd)
     return Posterior(likelihood, batch.prior(options), nuisances), at_record
+
+
+def _with_covariances(batch: Batch, noise: Noise, options: FitOptions, factor: float, gain: FloatArray) -> Likelihood:
+    """Return the likelihood of variances and correlations, at a length scale `factor` times that of the records."""
+    if batch.pairs is None:
+        raise InputError("The batch holds no correlations between beams: prepare it with information 'covariances'.")
+    own = _own_flow(noise, batch, options.nuisances, factor)
+    size = len(batch)
+    return pair_likelihood(
+        batch.pairs,
+        batch.variance,
+        batch.used,
+        gain,
+        batch.known_noise(options),
+        wind_speed=batch.wind_speed,
+        yaw=batch.yaw,
+        flow=(
+            own.get("length_scale", np.full(size, np.median(noise.length_scale))),
+            own.get("gamma", np.full(size, np.median(noise.gamma))),
+        ),
+        length_log_sd=batch.length_log_sd,
+        scatter=batch.scatter,
+        noise_sd=batch.instrument_noise_sd,
+        turn=batch.turn,
+        options=options,
+    )
 
 
 def _place(batch: Batch, noise: Noise, nuisances: Nuisances) -> FloatArray | None:

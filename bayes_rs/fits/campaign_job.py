@@ -19,6 +19,7 @@ from bayes_rs.fits.batch import Batch, make_posterior
 from bayes_rs.fits.campaign_files import as_read
 from bayes_rs.fits.campaign_records import CampaignRecords
 from bayes_rs.fits.columns import HYPER, SUMMARY, TABLE
+from bayes_rs.fits.covariance_states import PairData
 from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.parts import FAILED, Done, Part, Shared, batch_size, fit_part
@@ -188,6 +189,8 @@ def join_batches(batches: Sequence[Batch]) -> Batch:
         values = [getattr(batch, entry.name) for batch in batches]
         if values[0] is None:
             joined[entry.name] = None
+        elif isinstance(values[0], PairData):
+            joined[entry.name] = values[0].join(values[1:])
         elif isinstance(values[0], dict):
             joined[entry.name] = {name: np.concatenate([value[name] for value in values]) for name in values[0]}
         else:

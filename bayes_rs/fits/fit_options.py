@@ -34,6 +34,8 @@ TARGETS = {
     "sonic": "the tensor that a sonic at the lidar would have measured in this very record",
 }
 """Which R a fit is of, in words."""
+INFORMATION = ("variances", "covariances")
+"""What of a record the posterior is made of."""
 SCATTERS = ("records", "theory")
 """What says how much variances scatter."""
 DRAWS = ("auto", "none", "float32", "float64")
@@ -99,6 +101,17 @@ class FitOptions:
         "Distribution of the variances",
         choices="bayes_rs.likelihoods.log_normal:LIKELIHOODS",
         flag="",
+    )
+    information: str = option(
+        "variances",
+        "What of a record is used: its variances, one a beam; or covariances, the correlations between beams, too, which "
+        "see more and lean on the model's coherence; both posteriors are kept then",
+        choices=INFORMATION,
+    )
+    coherence_log_sd: float = option(
+        0.3,
+        "With covariances, standard deviation of the logarithms of the lateral and of the vertical scale over which "
+        "velocities go together",
     )
     target_ess: int = option(1000, "Bulk effective sample size that every stress should reach", flag="--ess")
     max_extension: int = option(5, "How often a chain that is too short may be doubled")
@@ -189,6 +202,7 @@ class FitOptions:
                 "Invalid instrument_noise 0: its logarithm is to be uncertain, so its median must be above 0 m² s⁻²; "
                 "'records' takes what the records tell."
             )
+        self._check_information()
         if self.target == "sonic" and self.likelihood != "log-normal":
             raise InputError(
                 f"Invalid likelihood {self.likelihood!r} for the target 'sonic': only for 'log-normal' is it known how "
@@ -196,6 +210,23 @@ class FitOptions:
             )
         _ = self.made_prior
         self._check_campaign()
+
+    def _check_information(self) -> None:
+        """Refuse what does not go with covariances."""
+        check_choice(self.information, INFORMATION, what="information")
+        check_non_negative(self.coherence_log_sd, what="coherence_log_sd", unit="")
+        if self.information == "variances":
+            return
+        if self.target == "sonic":
+            raise InputError(
+                "Invalid target 'sonic' with information 'covariances': how a sonic scatters with the correlations "
+                "between beams is not known here; use the target 'record', or information 'variances'."
+            )
+        if self.nuisances.gradient_names:
+            raise InputError(
+                f"Invalid {self.nuisances.gradient_names[0]}_sd with information 'covariances': gradients of R are not "
+                "in the covariances between beams; leave it out, or use information 'variances'."
+            )
 
     def _check_campaign(self) -> None:
         """Refuse a campaign that is asked for and cannot be had, and options of one that is off."""

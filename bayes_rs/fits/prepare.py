@@ -15,6 +15,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.campaign_groups import campaign_groups
+from bayes_rs.fits.covariance_states import pair_data
 from bayes_rs.fits.few_samples import scatter_of_few
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
@@ -75,6 +76,8 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         common_sd,
         group=campaign_groups(records, options.campaign_group),
     )
+    if options.information == "covariances":
+        batch = replace(batch, pairs=pair_data(records, scan, noise.duration))
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
         batch = replace(batch, scatter=np.stack(both, axis=-1).astype(np.float64))

@@ -198,6 +198,11 @@ class Settings:
     fit: FitOptions = field(default_factory=FitOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
 
+    def __post_init__(self) -> None:
+        """Have the correlations made that the fit uses."""
+        if self.fit.information == "covariances" and not self.records.correlations:
+            object.__setattr__(self, "records", replace(self.records, correlations=True))
+
     def changed(self, **values: Any) -> Settings:
         """Return settings with other values of some options.
 

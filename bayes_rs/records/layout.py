@@ -52,6 +52,7 @@ RECORDS: dict[str, Entry] = {
     "part_wind_across": Entry(("record", "part"), unit=_SPEED),
     "block_scatter": Entry(("record", "blocks")),
     "block_scatter_of_beams": Entry(("record", "blocks")),
+    "beam_correlation": Entry(("record", "beam_pair"), most=1.0),
     "octave_variance": Entry(("record", "beam", "octave"), unit=_VARIANCE),
     "trend": Entry(_BOTH),
     "trend_p_value": Entry(_BOTH),

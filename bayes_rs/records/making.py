@@ -24,6 +24,7 @@ from bayes_rs.quality.octaves import octave_count, record_octaves
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import BeamSamples, IntArray
 from bayes_rs.readers.ranged_series import scan_of_series, stacked
+from bayes_rs.records.beam_correlation import beam_correlation
 from bayes_rs.records.beam_wind import wind_of_beams
 from bayes_rs.records.belief import impossible_in, most_variance
 from bayes_rs.records.block_statistics import block_statistics
@@ -80,7 +81,9 @@ def make_records(
         halves, quarters, … down to the samples add to the variance (`bayes_rs.quality.octaves`): it tells the length
         scale. What the parts of a record tell of its steadiness and of the
         scatter of its variance stands in ``part_beams`` (record), ``part_wind``, ``part_wind_across`` (record, part),
-        ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``.
+        ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``. With
+        ``correlations=True``, ``beam_correlation`` (record, beam_pair) is how the beams go together; see
+        ``docs/covariances.md``.
 
     Raises
     ------
@@ -149,6 +152,9 @@ def make_records(
     records = records.assign(
         block_statistics(samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0)
     )
+    if chosen.correlations:
+        together, of_beams = beam_correlation(samples, filtered.keep, of_scan, needed=chosen.needed(of_scan))
+        records = records.assign(together).assign_attrs(of_beams)
     records = _with_remarks(records, samples, filtered, rules, chosen.window)
     records = _with_octaves(records, samples, filtered, chosen.window, octave_count(chosen.expected(of_scan)))
     records = with_cut_off(_with_span(records, samples, chosen), of_scan, chosen)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_rs._validation import check_count, check_finite, check_positive
+from bayes_rs._validation import check_count, check_finite, check_positive, check_switch
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.options import described, from_plain, option
 
@@ -49,6 +49,9 @@ class RecordOptions:
     min_count: int = option(
         10, "Smallest number of samples below which a beam is flagged, whatever was expected", flag=""
     )
+    correlations: bool = option(
+        False, "Keep the correlations between beams, too; a fit of files with information covariances does so by itself"
+    )
     motion: Sequence[str | Path] = option(
         (), "Files with the lidar's own tilt and roll over time, for each record's own attitude", metavar="FILE"
     )
@@ -79,6 +82,7 @@ class RecordOptions:
         if self.expected_count is not None:
             put("expected_count", check_positive(self.expected_count, what="expected_count", unit=""))
         put("min_count", check_count(self.min_count, what="min_count"))
+        put("correlations", check_switch(self.correlations, what="correlations"))
         put("motion", (self.motion,) if isinstance(self.motion, (str, Path)) else tuple(self.motion))
         if not isinstance(self.motion_columns, Mapping):
             raise InputError(

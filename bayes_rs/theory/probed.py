@@ -33,6 +33,7 @@ def probed_covariance(
     probe: Probe,
     lengths: FloatArray,
     tolerance: float = 1e-4,
+    components: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the covariances of the radial velocities of pairs of beams with probe volumes; as `radial_covariance`.
 
@@ -52,6 +53,9 @@ def probed_covariance(
         `Probe.length` of the two beams, m; 0 for one that sees a point.
     tolerance : float
         Largest error of a velocity covariance at two points, relative to the variance of u.
+    components : tuple of two ndarray, shape (n, 3), optional
+        Unit vectors of the velocity components to take in place of those along the beams: what the beams' probe volumes
+        would leave of these.
 
     Returns
     -------
@@ -83,15 +87,15 @@ def probed_covariance(
     0.83
     """
     if not np.any(lengths > 0.0):
-        return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
+        of = (first, second) if components is None else components
+        return radial_covariance(*of, across, along, turbulence, tolerance=tolerance)
     core = grid_core(shortest_length(lengths), turbulence)
     half = int(np.ceil(np.arcsinh(np.max(np.abs(along)) / core) / LAG_STEP)) + STENCIL // 2
     if 2 * half + 1 >= along.shape[1]:
-        return by_rules(first, second, across, along, turbulence, probe, lengths, tolerance)
+        return by_rules(first, second, across, along, turbulence, probe, lengths, tolerance, components=components)
     grid = core * np.sinh(LAG_STEP * np.arange(-half, half + 1))
-    lines = by_rules(
-        first, second, across, np.broadcast_to(grid, (len(along), len(grid))), turbulence, probe, lengths, tolerance
-    )
+    everywhere = np.broadcast_to(grid, (len(along), len(grid)))
+    lines = by_rules(first, second, across, everywhere, turbulence, probe, lengths, tolerance, components=components)
     return interpolate_rows(lines, np.arcsinh(along / core) / LAG_STEP + half)
 
 
@@ -140,12 +144,13 @@ def by_rules(
     tolerance: float,
     *,
     shortest: float | None = None,
+    components: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the covariances of beams with probe volumes by the rules of their kinds of pairs.
 
     Parameters
     ----------
-    first, second, across, along, turbulence, probe, lengths, tolerance
+    first, second, across, along, turbulence, probe, lengths, tolerance, components
         As for `probed_covariance`; each separation is calculated.
     shortest : float, optional
         The shortest probe volume that decides which far nodes are left out, m; by default that of each kind of pairs.
@@ -171,6 +176,7 @@ def by_rules(
             (wide & (fineness == fine), probe.pair_rule(wide=True, fineness=fine)),
         ]
     n_lag, out = along.shape[1], np.empty(along.shape)
+    of_first, of_second = (first, second) if components is None else components
     for members, full_rule in kinds:
         index = np.flatnonzero(members)
         if len(index) == 0:
@@ -183,8 +189,8 @@ def by_rules(
             shift += rule.mean[:, np.newaxis] * (b - a)[:, np.newaxis]
             rows = np.repeat(part, n_node)
             covariance = radial_covariance(
-                first[rows],
-                second[rows],
+                of_first[rows],
+                of_second[rows],
                 (across[part, np.newaxis] + shift[..., 1:]).reshape(-1, 2),
                 (along[part][:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
                 turbulence,

@@ -1,0 +1,208 @@
+"""What theory expects of the variances and correlations of records: between nodes of wind, direction and length."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.fits.uncertain_length import NODES, WEIGHTS
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.processor import one_thread
+from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, pair_columns
+from bayes_rs.theory.beam_covariances import CovarianceMoments, Views, covariance_moments
+from bayes_rs.theory.sampling_times import sample_counts
+from bayes_rs.turbulence.mann import MannTurbulence
+
+_STEPS = np.array([0.25, np.deg2rad(10.0), 0.3, 0.5])  # of ln U, yaw, ln L and Γ
+_SPEEDS, _LENGTHS, _GAMMAS = (1.0, 50.0), (8.0, 600.0), (0.0, 5.0)  # what is beyond gets the theory of these
+_LEAST_WEIGHT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PairData:
+    """The correlations of some records, and the beams that they are of.
+
+    Parameters
+    ----------
+    correlation : ndarray, shape (n_record, n_pair)
+        NaN where there is none.
+    scan : Scan
+        Of these beams alone.
+    column : ndarray of int, shape (n_view,)
+        Where they stand among the records' beams.
+    duration : float
+        Length of a record, s.
+    """
+
+    correlation: FloatArray
+    scan: Scan
+    column: NDArray[np.int64]
+    duration: float
+
+    def take(self, records: NDArray[np.int64] | slice) -> PairData:
+        """Return those of some of the records."""
+        return replace(self, correlation=self.correlation[records])
+
+    def join(self, others: list[PairData]) -> PairData:
+        """Return these and those of other records, one after the other."""
+        return replace(self, correlation=np.concatenate([self.correlation, *(one.correlation for one in others)]))
+
+
+def pair_data(records: xr.Dataset, scan: Scan, duration: float) -> PairData:
+    """Return the correlations that records hold.
+
+    Parameters
+    ----------
+    records : Dataset
+        From ``make_records(..., correlations=True)``.
+    scan : Scan
+        Of the records' beams.
+    duration : float
+        Length of a record, s.
+
+    Raises
+    ------
+    InputError
+        If they hold none, or fewer than two beams.
+    """
+    if CORRELATION not in records or CORRELATED_BEAMS not in records.attrs:
+        raise InputError(
+            "The records hold no correlations between beams, which information 'covariances' needs: make them with "
+            "correlations=True (--correlations)."
+        )
+    have = np.array(json.loads(records.attrs[CORRELATED_BEAMS]), dtype=np.int64)
+    present = scan.beam[np.isin(scan.beam, have)]
+    if len(present) < 2:
+        raise InputError(
+            f"Invalid information 'covariances' for records of {len(present)} beam: one beam has no covariance with "
+            "another; use information 'variances'."
+        )
+    of_pair = pair_columns(present, have)
+    values = np.asarray(records[CORRELATION].values, dtype=np.float64)
+    correlation = np.where(of_pair >= 0, values[:, of_pair], np.nan)
+    return PairData(correlation, scan.select(present), np.flatnonzero(np.isin(scan.beam, present)), duration)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordMoments:
+    """The theory of records' variances and correlations: `CovarianceMoments` along the records.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (n_record, n_view, 3)
+        Unit vectors of the beams in the mean-wind frame of each record.
+    tensor, record, ensemble, covariance, bias, slope : ndarray
+        As in `CovarianceMoments`, with the records first; tensors over the uu of a record.
+    """
+
+    direction: FloatArray
+    tensor: FloatArray
+    record: FloatArray
+    ensemble: FloatArray
+    covariance: FloatArray
+    bias: FloatArray
+    slope: FloatArray
+
+
+def record_moments(
+    pairs: PairData,
+    wind_speed: FloatArray,
+    yaw: FloatArray,
+    length_scale: FloatArray,
+    gamma: FloatArray,
+    length_log_sd: FloatArray | None,
+) -> RecordMoments:
+    """Return the theory for records, each at its own wind, direction and turbulence.
+
+    Parameters
+    ----------
+    pairs : PairData
+        Of these records: whose beams, and how long a record is.
+    wind_speed, yaw, length_scale, gamma : ndarray, shape (n_record,)
+        m/s, rad, m and 1.
+    length_log_sd : ndarray, shape (n_record,), or None
+        Standard deviations of the records' own ln L; their scatter is averaged over it.
+
+    Returns
+    -------
+    moments : RecordMoments
+        Linear between nodes of ln U (steps of 0.25), direction (10°), ln L (0.3) and Γ (0.5), which are calculated once
+        each. The directions are the records' own. `slope` times the standard deviation of ln L is not in the
+        covariance.
+    """
+    middle = _between(pairs, wind_speed, yaw, length_scale, gamma)
+    covariance = middle.covariance
+    if length_log_sd is not None and np.any(length_log_sd > 0.0):
+        covariance = np.zeros_like(covariance)
+        for node, weight in zip(NODES, WEIGHTS, strict=True):
+            moved = length_scale * np.exp(node * length_log_sd)
+            covariance += weight * _between(pairs, wind_speed, yaw, moved, gamma).covariance
+    return RecordMoments(pairs.scan.at_yaw(yaw), **{**middle._asdict(), "covariance": covariance})
+
+
+def _between(
+    pairs: PairData, wind_speed: FloatArray, yaw: FloatArray, length_scale: FloatArray, gamma: FloatArray
+) -> CovarianceMoments:
+    """Return the moments of each record, linear between those of the nodes around it."""
+    point = np.stack(
+        [
+            np.log(np.clip(wind_speed, *_SPEEDS)),
+            yaw,
+            np.log(np.clip(length_scale, *_LENGTHS)),
+            np.clip(gamma, *_GAMMAS),
+        ],
+        axis=-1,
+    )
+    place = point / _STEPS
+    # rounding must not make a node of its own of a value that lies at one
+    low = np.floor(place + 1e-9)
+    share = np.clip(place - low, 0.0, 1.0)
+    total: list[FloatArray] = []
+    for corner in product((0, 1), repeat=len(_STEPS)):
+        weight = np.prod(np.where(corner, share, 1.0 - share), axis=-1)
+        some = np.flatnonzero(weight > _LEAST_WEIGHT)
+        if len(some) == 0:
+            continue
+        nodes, of = np.unique(low[some] + corner, axis=0, return_inverse=True)
+        made = [_moments_at(_Hashed(pairs.scan), pairs.duration, *node) for node in nodes.astype(np.int64).tolist()]
+        stacked = [np.stack(values) for values in zip(*made, strict=True)]
+        if not total:
+            total = [np.zeros((len(point), *values.shape[1:])) for values in stacked]
+        for into, values in zip(total, stacked, strict=True):
+            into[some] += weight[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[of.reshape(-1)]
+    return CovarianceMoments(*total)
+
+
+@dataclass(frozen=True, eq=False)
+class _Hashed:
+    """A scan that is the same as another with the same key."""
+
+    scan: Scan
+
+    def __hash__(self) -> int:
+        return hash(self.scan.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and self.scan.key == other.scan.key
+
+
+@lru_cache(maxsize=4096)
+@one_thread()  # what is kept must not depend on who asked for it first
+def _moments_at(scan: _Hashed, duration: float, speed: int, yaw: int, length: int, gamma: int) -> CovarianceMoments:
+    node = _STEPS * [speed, yaw, length, gamma]
+    found = covariance_moments(
+        Views.of_scan(scan.scan, float(node[1])),
+        MannTurbulence(1.0, float(np.exp(node[2])), float(node[3])),
+        wind_speed=float(np.exp(node[0])),
+        n_sample=int(np.min(sample_counts(scan.scan, duration))),
+    )
+    size = found.record[0]
+    return found._replace(tensor=found.tensor / size, record=found.record / size, ensemble=found.ensemble / size)
