@@ -405,6 +405,7 @@ def _with_covariances(batch: Batch, noise: Noise, options: FitOptions, factor: f
         scatter=batch.scatter,
         noise_sd=batch.instrument_noise_sd,
         turn=batch.turn,
+        place=_place(batch, noise, options.nuisances),
         options=options,
     )
 

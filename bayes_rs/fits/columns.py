@@ -13,6 +13,8 @@ CORRELATED = tuple(f"autocorrelation_time_{name}" for name in STRESSES)
 PAIRS = [(i, j) for i in range(len(STRESSES)) for j in range(i, len(STRESSES))]
 COVARIANCES = tuple(f"cov_{STRESSES[i]}_{STRESSES[j]}" for i, j in PAIRS)
 """Columns with the posterior covariances of the stresses, m⁴ s⁻⁴."""
+PAIRS_MISFIT, N_PAIR = "pairs_misfit", "n_pair"
+"""Columns of how well the variances foretell the covariances of beams, and of how many pairs of these there are."""
 PER_RECORD = (
     "stresses_learnt",
     "acceptance_rate",
@@ -23,9 +25,13 @@ PER_RECORD = (
     "misfit",
     "beams_probability",
     "sonic_clipped",
+    PAIRS_MISFIT,
+    N_PAIR,
 )
 """Columns with one number a record; NaN where it was not fitted."""
 TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
 """Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""
+VARIANCES = "variances_summary"
+"""Name of the table with the records by their variances alone, of a fit that uses covariances."""
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""

@@ -26,6 +26,7 @@ def pair_likelihood(
     scatter: FloatArray | None,
     noise_sd: FloatArray | None,
     turn: FloatArray | None,
+    place: FloatArray | None,
     options: FitOptions,
 ) -> CovarianceLikelihood:
     r"""Return the likelihood of variances and correlations of records.
@@ -48,6 +49,8 @@ def pair_likelihood(
         Standard deviation of the instrument's noise, the same error for all beams of a record, over their variances.
     turn : ndarray, shape (n_record, 6, 6), or None
         What takes stresses to the record's own tilt and roll.
+    place : ndarray, shape (n_record, n_beam, n_gradient), or None
+        Where the beams measure, for stresses with gradients.
     options : FitOptions
         Target, inflation, and how uncertain the coherence is.
 
@@ -102,6 +105,7 @@ def pair_likelihood(
         offset,
         dof=options.nuisances.inflation_dof,
         turn=turn,
+        place=place,
     )
 
 

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from bayes_rs._validation import as_items, check_choice, check_prob, check_switch
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
-from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE
+from bayes_rs.fits.coherence import Coherence, coherence_of
+from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE, VARIANCES
 from bayes_rs.fits.direction_table import direction_medians, direction_rows
 from bayes_rs.fits.fit_card import fit_card, fit_rows
 from bayes_rs.fits.fit_data import FitData
+from bayes_rs.fits.fit_options import INFORMATION
 from bayes_rs.fits.frames import FRAMES, lidar_frame
 from bayes_rs.fits.groups import (
     as_arviz_takes,
@@ -87,6 +89,7 @@ class Fit(FitData):
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
+        information: str | None = None,
         records: Selection | None = None,
         columns: Sequence[str] | None = None,
     ) -> pd.DataFrame:
@@ -110,6 +113,9 @@ class Fit(FitData):
         campaign : bool
             The records under the prior that the campaign has learnt, in place of the given one; of these no draws are
             kept.
+        information : {"variances", "covariances"}, optional
+            By default that of the fit. Of a fit that uses the covariances between beams, ``"variances"`` gives what the
+            variances say by themselves; of these no draws are kept.
         records : int, slice or array_like, optional
             Only these records: numbers, a slice of numbers or of starts as ISO times (UTC, the end left out), or a
             truth value for each record, as ``fit.records["turbine"] == "T07"``. Only their parts are read.
@@ -160,21 +166,38 @@ class Fit(FitData):
             and wanted == tuple(own["derived"])
             and frame == "wind"
         )
-        if campaign and not as_made:
+        alone = self._is_alone(information)
+        if campaign and alone:
             raise InputError(
-                "Of the records under the campaign no draws are kept: their summary has the intervals, quantities and "
-                "axes of the fit; leave prob, interval, derived and frame out."
+                "The campaign has learnt from the information of the fit: leave information or campaign out."
+            )
+        if (campaign or alone) and not as_made:
+            of_these = "by their variances alone" if alone else "under the campaign"
+            raise InputError(
+                f"Of the records {of_these} no draws are kept: their summary has the intervals, quantities and axes of "
+                "the fit; leave prob, interval, derived and frame out."
             )
         chosen = None if records is None else selected_records(records, self.n_record, lambda: self.time)
         shown = COLUMNS if columns is None else check_columns(columns)
         if as_made:
             if campaign:
                 self._campaign_table(TABLE, [])  # says why there is none
-            return self._of_table(SUMMARY if campaign else "summary", chosen, shown)
+            return self._of_table(SUMMARY if campaign else VARIANCES if alone else "summary", chosen, shown)
         table = summarize(self, own["prob"] if prob is None else prob, kind, wanted, frame)
         if chosen is not None:
             table = table[np.isin(table["record"].to_numpy(), chosen)].reset_index(drop=True)
         return table[list(shown)]
+
+    def _is_alone(self, information: str | None) -> bool:
+        """Tell whether what is asked for are the variances alone, of a fit that uses covariances."""
+        own = self.settings["fit"].get("information", "variances")
+        if information is None or check_choice(information, INFORMATION, what="information") == own:
+            return False
+        if own == "variances":
+            raise InputError(
+                "The fit used variances alone: fit again with information='covariances' (--information covariances)."
+            )
+        return True
 
     def _of_table(self, dataset: str, chosen: NDArray[np.int64] | None, columns: Sequence[str]) -> pd.DataFrame:
         """Return columns of a summary as it was made, of some records."""
@@ -186,6 +209,27 @@ class Fit(FitData):
             for piece in self.source.pieces(dataset, read, chosen if len(chosen) else np.zeros(1, dtype=np.int64))
         ]
         return pd.concat(pieces, ignore_index=True)[list(columns)]
+
+    def coherence(self) -> Coherence:
+        """Return how the covariances between beams go with what the variances say of the stresses.
+
+        Returns
+        -------
+        coherence : Coherence
+            The misfit over all records, and whether it speaks against the coherence of the model.
+
+        Raises
+        ------
+        InputError
+            If the fit used variances alone.
+        """
+        found = coherence_of(self)
+        if found is None:
+            raise InputError(
+                "The fit has no covariances between beams: fit with information='covariances' (--information "
+                "covariances)."
+            )
+        return found
 
     def campaign(self) -> pd.DataFrame:
         """Return what all records together say of the campaign.

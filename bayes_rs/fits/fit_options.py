@@ -104,8 +104,8 @@ class FitOptions:
     )
     information: str = option(
         "variances",
-        "What of a record is used: its variances, one a beam; or covariances, the correlations between beams, too, which "
-        "see more and lean on the model's coherence; both posteriors are kept then",
+        "What of a record is used: its variances, one a beam; or covariances, the correlations between beams, too, "
+        "which see more and lean on the model's coherence; what the variances alone say is kept beside it",
         choices=INFORMATION,
     )
     coherence_log_sd: float = option(
@@ -221,11 +221,6 @@ class FitOptions:
             raise InputError(
                 "Invalid target 'sonic' with information 'covariances': how a sonic scatters with the correlations "
                 "between beams is not known here; use the target 'record', or information 'variances'."
-            )
-        if self.nuisances.gradient_names:
-            raise InputError(
-                f"Invalid {self.nuisances.gradient_names[0]}_sd with information 'covariances': gradients of R are not "
-                "in the covariances between beams; leave it out, or use information 'variances'."
             )
 
     def _check_campaign(self) -> None:

@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_files import TABLE_FILES, of_csv
-from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, HYPER, PAIRS, PER_RECORD, SUMMARY, TABLE
+from bayes_rs.fits.columns import (
+    ALONG,
+    ALONG_SHAPE,
+    CORRELATED,
+    COVARIANCES,
+    HYPER,
+    PAIRS,
+    PER_RECORD,
+    SUMMARY,
+    TABLE,
+    VARIANCES,
+)
 from bayes_rs.fits.flags import UNFITTED
 from bayes_rs.fits.run_file import RunOfFit
 from bayes_rs.fits.summarizing import COLUMNS
@@ -23,7 +34,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.layouts import check_table
 from bayes_rs.result_folder import ResultFolder
 
-DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY)
+DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY, VARIANCES)
 """The tables in parts."""
 _WHERE = {"record": "whole", "time": "time"}
 _DRAW = {"record": "whole", "chain": "whole", "draw": "whole"}

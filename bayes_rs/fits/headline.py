@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, campaign_failures
+from bayes_rs.fits.coherence import coherence_of
 from bayes_rs.fits.columns import TABLE
 from bayes_rs.fits.direction_table import median_of_known
 from bayes_rs.fits.fit_data import FitData
@@ -274,6 +275,9 @@ def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[
     parts += ["some of the data are not believed"] if doubts else []
     parts += ["the campaign's chains fell short"] if any(campaign_failures(own.run["campaign"]) for own in fits) else []
     parts += _of_all_records(fits)
+    unlike = [found for own in fits if (found := coherence_of(own)) is not None and found.doubted]
+    at = f"at {len(unlike)} of {len(fits)} ranges " if len(fits) > 1 else ""
+    parts += [at + unlike[0].in_words()] if unlike else []
     together = [line for own in fits for line in own.run.get("beams", {}).get("together", [])]
     numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts, "beams": together}
     return "; ".join(parts) or NOTHING, numbers

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.fits.batch import Batch, RecordDraws, fit_batch, join_draws
-from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, PAIRS, PER_RECORD
+from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, PAIRS, PER_RECORD, VARIANCES
 from bayes_rs.fits.direction_table import contraction_along, covariance_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
+from bayes_rs.fits.information import variances_alone
 from bayes_rs.fits.least_squares_beside import least_squares_of
 from bayes_rs.fits.more_draws import by_size, expected_times, monte_carlo_error, times_the_draws, with_draws
 from bayes_rs.fits.prepare import can_be_fitted
@@ -137,21 +138,29 @@ def fit_part(shared: Shared, part: Part) -> Done:
             *(part.record[0], part.record[-1], len(reasons), reasons[0]),
         )
     tables = {
-        "summary": summary_frame(
-            found.summary,
-            record=part.record,
-            time=part.time,
-            flag=flag,
-            derived=shared.options.derived,
-            prob=shared.options.prob,
-            interval=shared.options.interval,
-        ),
+        "summary": _summary_table(found.summary, part, flag, shared.options),
         "posterior": _posterior_table(found, part, flag),
     }
+    if shared.options.information == "covariances":
+        tables[VARIANCES] = _summary_table(found.alone, part, flag, shared.options)
     if shared.keep_draws:
         tables["draws"] = _joined([_draws_table(*one, shared) for one in kept], shared)
         tables["predicted"] = _joined([_predicted_table(*one, shared) for one in kept], shared, predicted=True)
     return Done(part.index, tables)
+
+
+def _summary_table(
+    columns: dict[str, FloatArray], part: Part, flag: NDArray[np.int64], options: FitOptions
+) -> pd.DataFrame:
+    return summary_frame(
+        columns,
+        record=part.record,
+        time=part.time,
+        flag=flag,
+        derived=options.derived,
+        prob=options.prob,
+        interval=options.interval,
+    )
 
 
 @dataclass
@@ -160,6 +169,7 @@ class _Columns:
 
     n_record: int
     summary: dict[str, FloatArray] = field(default_factory=dict)
+    alone: dict[str, FloatArray] = field(default_factory=dict)
     numbers: dict[str, FloatArray] = field(default_factory=dict)
     sampler: NDArray[Any] = field(init=False)
     outside: NDArray[np.bool_] = field(init=False)
@@ -225,6 +235,8 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         chains.stress, options.derived, batch.wind_speed[rows], options.prob, options.interval, known
     )
     found.put(found.summary, rows, summary)
+    if options.information == "covariances":
+        _put_alone(found, rows, known, batch, shared)
     error = monte_carlo_error(summary)
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
     matrix = covariance_of(flat, ddof=1)
@@ -246,6 +258,27 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     found.sampler[rows] = chains.sampler
     found.outside[rows] = draws.outside
     return error
+
+
+def _put_alone(
+    found: _Columns, rows: NDArray[np.int64], known: dict[str, FloatArray], batch: Batch, shared: Shared
+) -> None:
+    """Enter what the variances of some records say by themselves, and how well they foretell the covariances."""
+    options = shared.options
+    draws, misfit = variances_alone(batch.take(rows), shared.noise, options)
+    chains = draws.chains
+    decided, _ = what_data_decided(chains.stress, shared.room)
+    diagnosed = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat, "decided": decided}
+    summary = summarize_draws(
+        chains.stress,
+        options.derived,
+        batch.wind_speed[rows],
+        options.prob,
+        options.interval,
+        {**known, **diagnosed},
+    )
+    found.put(found.alone, rows, summary)
+    found.put(found.numbers, rows, misfit)
 
 
 def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd.DataFrame:

@@ -207,6 +207,7 @@ class RangedFit(Fit):
         derived: Sequence[str] | None = None,
         frame: str = "wind",
         campaign: bool = False,
+        information: str | None = None,
         records: Selection | None = None,
         columns: Sequence[str] | None = None,
     ) -> pd.DataFrame:
@@ -214,7 +215,7 @@ class RangedFit(Fit):
 
         Parameters
         ----------
-        prob, interval, derived, frame, campaign, records, columns
+        prob, interval, derived, frame, campaign, information, records, columns
             As for `Fit.summary`.
 
         Returns
@@ -235,6 +236,7 @@ class RangedFit(Fit):
                 derived=derived,
                 frame=frame,
                 campaign=campaign,
+                information=information,
                 records=records,
                 columns=columns,
             )

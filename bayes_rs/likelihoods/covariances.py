@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,10 @@ class CovarianceLikelihood(NormalLikelihood):
         As in `Likelihood`; those of the variances.
     form : ndarray, shape (n_record, 21, n_datum)
         Expected covariances of two views, without noise, in the products of two elements of the factor L of R = L Lᵀ.
+    view : ndarray of int, shape (n_view,)
+        The beams whose variances and correlations are the data.
     noise : ndarray, shape (n_record, n_view)
-        The instrument's noise in the variances of the views, m² s⁻².
+        The instrument's noise in their variances, m² s⁻².
     seen : ndarray of bool, shape (n_record, n_datum)
         Which data a record has.
     datum : ndarray, shape (n_record, n_datum)
@@ -53,6 +55,7 @@ class CovarianceLikelihood(NormalLikelihood):
     gain: FloatArray
     offset: FloatArray
     form: FloatArray
+    view: NDArray[np.int64]
     noise: FloatArray
     seen: NDArray[np.bool_]
     datum: FloatArray
@@ -63,7 +66,13 @@ class CovarianceLikelihood(NormalLikelihood):
     dof: float = np.inf
     place: FloatArray | None = None
 
-    def data_means(self, stress: FloatArray, offset: FloatArray | None = None) -> FloatArray:
+    def take(self, records: NDArray[np.int64]) -> CovarianceLikelihood:
+        """Return the likelihood of some of the records."""
+        return replace(super().take(records), view=self.view)
+
+    def data_means(
+        self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
+    ) -> FloatArray:
         """Return ln E[y] and the artanh of the expected correlations, shape (n_record, n_draw, n_datum); 0 if not seen.
 
         NaN comes of stresses that give a beam no variance.
@@ -72,19 +81,23 @@ class CovarianceLikelihood(NormalLikelihood):
         expected = factor_products(turned) @ self.form
         n_view = self.noise.shape[1]
         first, second = np.triu_indices(n_view, 1)
-        own = expected[..., :n_view] + self.noise[:, None, :]
+        own, pair = expected[..., :n_view], expected[..., n_view:]
+        if self.place is not None and gradient is not None:
+            grown = gradient @ self.place[:, self.view].swapaxes(-1, -2)
+            own = own * np.exp(grown)
+            pair = pair * np.exp(0.5 * (grown[..., first] + grown[..., second]))
+        own = own + self.noise[:, None, :]
         if offset is not None:
             own = own + offset[:, :, None]
         with np.errstate(invalid="ignore", divide="ignore"):
-            correlation = expected[..., n_view:] / np.sqrt(own[..., first] * own[..., second])
+            correlation = pair / np.sqrt(own[..., first] * own[..., second])
             means = np.concatenate([np.log(own), np.arctanh(correlation)], axis=-1)
         return np.where(self.seen[:, None, :], means, 0.0)
 
     def _whiten(
         self, stress: FloatArray, offset: FloatArray | None, gradient: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        del gradient  # refused where options are checked
-        off = self.datum[:, None, :] - self.data_means(stress, offset)
+        off = self.datum[:, None, :] - self.data_means(stress, offset, gradient)
         return off @ self.whitening.swapaxes(-1, -2), self.log_normalizer[:, None]
 
 
@@ -101,6 +114,7 @@ def covariance_likelihood(
     *,
     dof: float = np.inf,
     turn: FloatArray | None = None,
+    place: FloatArray | None = None,
 ) -> CovarianceLikelihood:
     """Prepare the likelihood of the variances and correlations of many records.
 
@@ -127,6 +141,8 @@ def covariance_likelihood(
         Degrees of freedom of the noise, as in `log_normal_likelihood`.
     turn : ndarray, shape (n_record, 6, 6), optional
         What takes the stresses to the record's own tilt and roll.
+    place : ndarray, shape (n_record, n_beam, n_gradient), optional
+        Where the beams measure, for stresses with gradients: see `Likelihood`.
 
     Returns
     -------
@@ -139,7 +155,7 @@ def covariance_likelihood(
         As `log_normal_likelihood`.
     """
     check_tails(1.0, dof)
-    data = beam_data(variance, used, gain, offset)
+    data = beam_data(variance, used, gain, offset, place)
     own, n_view = used[:, view], len(view)
     idle = np.flatnonzero(~own.any(axis=1))
     if len(idle):
@@ -161,6 +177,7 @@ def covariance_likelihood(
         gain=data.gain,
         offset=data.offset,
         form=form,
+        view=view,
         noise=data.offset[:, view],
         seen=seen,
         datum=datum,
@@ -168,6 +185,7 @@ def covariance_likelihood(
         log_normalizer=log_normalizer(n_datum, log_determinant, float(dof)),
         n_datum=n_datum,
         turn=turn,
+        place=data.place,
         dof=float(dof),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,17 +12,18 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import Probe
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.geometry.stress import STRESSES, pack_stress
+from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_gram, toeplitz_trace
-from bayes_rs.turbulence.two_point import INDEX_PAIRS
+from bayes_rs.turbulence.two_point import INDEX_PAIRS, velocity_covariance
 
 COHERENCE = ("length_scale", "lateral_scale", "vertical_scale")
 """What the coherence between two beams depends on: the size of the eddies, and their extent along y and along z."""
 _STEP = 0.1  # of the logarithm of a scale, for the slopes of the data
 _TOLERANCE = 1e-3  # of uu: a hundredth of the scatter of a correlation
-_MIRRORED = np.array([1.0, -1.0])
+_GROWTH = 0.25  # of the distances of lags that are calculated; the others lie between
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,69 +167,69 @@ def covariance_moments(
     >>> np.sqrt(moments.covariance.diagonal()).round(2)
     array([0.24, 0.24, 0.12])
     """
-    lines = _lines(views, turbulence, wind_speed, n_sample, tolerance, np.ones(2))
-    tensor = toeplitz_trace(lines, n_sample) / n_sample
-    record = _record_stresses(views, turbulence, wind_speed, n_sample, tolerance)
-    level = _means(views, tensor, record)
-    slope = np.empty((len(level), len(COHERENCE)))
-    for column, across in enumerate((None, np.array([1.0, 0.0]), np.array([0.0, 1.0]))):
+    setting = _Setting(views, wind_speed, n_sample, tolerance)
+    lines = setting.lines(turbulence)
+    tensor = lines @ setting.nodes.trace / n_sample
+    record = setting.at_a_point(turbulence)
+    slope = np.empty((len(tensor), len(COHERENCE)))
+    for column, across in enumerate((None, (1.0, 0.0), (0.0, 1.0))):
         ends = []
         for sign in (-1.0, 1.0):
-            flow, extent, own = turbulence, np.ones(2), record
             if across is None:
                 flow = replace(turbulence, length_scale=turbulence.length_scale * np.exp(sign * _STEP))
-                own = _record_stresses(views, flow, wind_speed, n_sample, tolerance)
-            else:  # larger eddies across are beams that are closer
-                extent = np.exp(-sign * _STEP * across)
-            moved = toeplitz_trace(_lines(views, flow, wind_speed, n_sample, tolerance, extent), n_sample) / n_sample
-            ends.append(_means(views, moved, own))
+                moved, own = setting.lines(flow), setting.at_a_point(flow)
+            else:  # eddies that reach farther across are beams that are closer
+                moved, own = setting.lines(turbulence, np.exp(-sign * _STEP * np.array(across))), record
+            ends.append(_means(views, moved @ setting.nodes.trace / n_sample, own))
         slope[:, column] = (ends[1] - ends[0]) / (2.0 * _STEP)
-    return CovarianceMoments(tensor, record, turbulence.stresses(), *_data_moments(views, lines, n_sample), slope)
+    covariance, bias = _data_moments(views, lines @ setting.nodes.weights, n_sample)
+    return CovarianceMoments(tensor, record, turbulence.stresses(), covariance, bias, slope)
 
 
-def _lines(
-    views: Views,
-    turbulence: MannTurbulence,
-    wind_speed: float,
-    n_sample: int,
-    tolerance: float,
-    extent: FloatArray,
-) -> FloatArray:
-    """Return the covariances of components at all lags, shape (n_datum, 6, 2 n_sample − 1), m² s⁻²."""
-    first, second = view_pairs(len(views))
-    parcel = views.place.copy()
-    parcel[:, 0] -= wind_speed * views.time
-    apart = parcel[second] - parcel[first]
-    lag = np.arange(-(n_sample - 1), n_sample)
-    rows = np.repeat(np.arange(len(first)), len(STRESSES))
-    axes, pair = np.eye(3), np.tile(np.array(INDEX_PAIRS), (len(first), 1))
-    found = probed_covariance(
-        views.direction[first[rows]],
-        views.direction[second[rows]],
-        apart[rows, 1:] * extent,
-        apart[rows, :1] - wind_speed * views.interval * lag,
-        turbulence,
-        probe=views.probe,
-        lengths=np.stack([views.length[first[rows]], views.length[second[rows]]], axis=-1),
-        tolerance=tolerance,
-        components=(axes[pair[:, 0]], axes[pair[:, 1]]),
-    )
-    return found.reshape(len(first), len(STRESSES), len(lag))
+class _Setting:
+    """Whose covariances are calculated, at which lags."""
+
+    def __init__(self, views: Views, wind_speed: float, n_sample: int, tolerance: float) -> None:
+        self.views, self.wind_speed, self.n_sample, self.tolerance = views, wind_speed, n_sample, tolerance
+        self.first, self.second = view_pairs(len(views))
+        parcel = views.place.copy()
+        parcel[:, 0] -= wind_speed * views.time
+        self.apart = parcel[self.second] - parcel[self.first]
+        self.step = wind_speed * views.interval
+        centre = self.apart[:, 0] / self.step
+        centres = float(np.floor(np.min(centre))), float(np.ceil(np.max(centre)))
+        self.nodes = _nodes(n_sample, centres)
+
+    def lines(self, turbulence: MannTurbulence, extent: FloatArray | float = 1.0) -> FloatArray:
+        """Return the covariances of components at the nodes of the lags, shape (n_datum, 6, n_node), m² s⁻²."""
+        views, first, second = self.views, self.first, self.second
+        rows = np.repeat(np.arange(len(first)), len(STRESSES))
+        axes, pair = np.eye(3), np.tile(np.array(INDEX_PAIRS), (len(first), 1))
+        found = probed_covariance(
+            views.direction[first[rows]],
+            views.direction[second[rows]],
+            self.apart[rows, 1:] * extent,
+            self.apart[rows, :1] - self.step * self.nodes.lag,
+            turbulence,
+            probe=views.probe,
+            lengths=np.stack([views.length[first[rows]], views.length[second[rows]]], axis=-1),
+            tolerance=self.tolerance,
+            components=(axes[pair[:, 0]], axes[pair[:, 1]]),
+        )
+        return found.reshape(len(first), len(STRESSES), -1)
+
+    def at_a_point(self, turbulence: MannTurbulence) -> FloatArray:
+        """Return the expected stresses of a record at one point, shape (6,), m² s⁻²."""
+        nodes = _nodes(self.n_sample, (0.0, 0.0))
+        apart = np.zeros((len(nodes.lag), 3))
+        apart[:, 0] = self.step * nodes.lag
+        covariance = pack_stress(velocity_covariance(apart, turbulence, tolerance=self.tolerance))
+        return np.asarray(nodes.trace @ covariance / self.n_sample)
 
 
-def _record_stresses(
-    views: Views, turbulence: MannTurbulence, wind_speed: float, n_sample: int, tolerance: float
-) -> FloatArray:
-    """Return the expected stresses of a record at one point, shape (6,), m² s⁻²."""
-    point = replace(
-        views,
-        direction=np.array([[1.0, 0.0, 0.0]]),
-        place=np.zeros((1, 3)),
-        time=np.zeros(1),
-        length=np.zeros(1),
-    )
-    lines = _lines(point, turbulence, wind_speed, n_sample, tolerance, np.ones(2))
-    return np.asarray(toeplitz_trace(lines, n_sample)[0] / n_sample)
+@lru_cache(maxsize=256)
+def _nodes(n_sample: int, centres: tuple[float, float]) -> LagNodes:
+    return lag_nodes(n_sample, n_sample, centres, _GROWTH, detrend="mean")
 
 
 def component_weights(first: FloatArray, second: FloatArray) -> FloatArray:
