@@ -216,7 +216,7 @@ def _reduced_beforehand(batch: Batch, noise: Noise, options: FitOptions) -> NDAr
     """Return which records, those of a scan of many beams that use them all, have their noise reduced beforehand."""
     can = (
         options.target != "sonic"
-        and options.information == "variances"
+        and batch.pairs is None
         and options.likelihood == "log-normal"
         and ReducedNoise.suits(noise)
     )
@@ -357,7 +357,7 @@ def make_posterior(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Pos
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
-        if options.information == "covariances":
+        if batch.pairs is not None:
             parts.append(_with_covariances(batch, noise, options, float(factor), gain))
             if factor == 1.0:
                 at_record = at_node

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.covariance_states import PairData, RecordMoments, record_moments
 from bayes_rs.fits.fit_options import FitOptions
-from bayes_rs.likelihoods.covariances import CovarianceLikelihood, covariance_forms, covariance_likelihood
+from bayes_rs.likelihoods.base import BeamData, beam_data
+from bayes_rs.likelihoods.covariances import CovarianceLikelihood, ViewData, covariance_forms, covariance_likelihood
 from bayes_rs.theory.beam_covariances import component_weights, view_pairs
+
+_AXES = "uvw"  # what a mast sees
 
 
 def pair_likelihood(
@@ -66,7 +69,10 @@ def pair_likelihood(
           Σ_k σ_k² s_k s_kᵀ, linear in the logarithms of the scales.
     """
     moments = record_moments(pairs, wind_speed, yaw, *flow, length_log_sd)
-    n_view, n_record = len(pairs.column), len(variance)
+    beams = beam_data(variance, used, gain, offset, place)
+    views = _views(pairs, beams, options)
+    n_record, n_view = views.variance.shape
+    n_beam = len(pairs.column)
     first, second = view_pairs(n_view)
     own, pair = slice(n_view), slice(n_view, None)
     covariance, bias = moments.covariance.copy(), moments.bias.copy()
@@ -81,7 +87,8 @@ def pair_likelihood(
     directions = moments.direction[:, first], moments.direction[:, second]
     correlation = _correlation(moments, *directions)[:, pair]
     if noise_sd is not None:
-        of_own = noise_sd[:, pairs.column]
+        of_own = np.zeros((n_record, n_view))
+        of_own[:, :n_beam] = noise_sd[:, pairs.column]
         of_pair = -0.5 * correlation / (1.0 - correlation**2)
         shift = np.concatenate([of_own, of_pair * (of_own[:, first[pair]] + of_own[:, second[pair]])], axis=1)
         covariance += shift[:, :, None] * shift[:, None, :]
@@ -92,20 +99,41 @@ def pair_likelihood(
     sd[:, 0] = 0.0 if length_log_sd is None else length_log_sd
     spread = moments.slope * sd[:, None, :]
     covariance += spread @ spread.swapaxes(-1, -2)
+    covariance[:, n_beam:n_view, n_beam:n_view] += options.mast_log_sd**2
     reference = moments.ensemble if options.target == "ensemble" else moments.record
     return covariance_likelihood(
-        variance,
-        pairs.correlation,
-        used,
-        pairs.column,
-        gain,
+        beams,
+        views,
         covariance_forms(*directions, moments.tensor, reference),
         covariance,
         bias,
-        offset,
         dof=options.nuisances.inflation_dof,
         turn=turn,
-        place=place,
+    )
+
+
+def _views(pairs: PairData, beams: BeamData, options: FitOptions) -> ViewData:
+    """Return what the chosen beams, and a mast beside them, saw."""
+    column = pairs.column
+    variance, used, noise = beams.variance[:, column], beams.used[:, column], beams.offset[:, column]
+    place = None if beams.place is None else beams.place[:, column]
+    of_beams = pairs.correlation if options.information == "covariances" else np.full_like(pairs.correlation, np.nan)
+    if pairs.mast is None:
+        return ViewData(variance, used, of_beams, noise, place)
+    mast, n_record, n_beam = pairs.mast, len(variance), len(column)
+    n_view = n_beam + len(_AXES)
+    matrix = np.full((n_record, n_view, n_view), np.nan)
+    first, second = np.triu_indices(n_beam, 1)
+    matrix[:, first, second] = of_beams
+    for place_of, (i, j) in zip((3, 4, 5), ((0, 1), (0, 2), (1, 2)), strict=True):
+        matrix[:, n_beam + i, n_beam + j] = mast[:, place_of] / np.sqrt(mast[:, i] * mast[:, j])
+    first, second = np.triu_indices(n_view, 1)
+    there = np.isfinite(mast[:, :3])
+    return ViewData(
+        np.concatenate([variance, np.where(there, mast[:, :3], 1.0)], axis=1),
+        np.concatenate([used, there], axis=1),
+        matrix[:, first, second],
+        np.concatenate([noise, np.zeros((n_record, len(_AXES)))], axis=1),
     )
 
 

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.uncertain_length import NODES, WEIGHTS
-from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.processor import one_thread
-from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, pair_columns
+from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, correlated_beams, pair_columns
 from bayes_rs.theory.beam_covariances import CovarianceMoments, Views, covariance_moments
 from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.wind.mast import MAST, MAST_POSITION
 
 _STEPS = np.array([0.25, np.deg2rad(10.0), 0.3, 0.5])  # of ln U, yaw, ln L and Γ
 _SPEEDS, _LENGTHS, _GAMMAS = (1.0, 50.0), (8.0, 600.0), (0.0, 5.0)  # what is beyond gets the theory of these
@@ -40,39 +41,64 @@ class PairData:
         Where they stand among the records' beams.
     duration : float
         Length of a record, s.
+    mast : ndarray, shape (n_record, 6), optional
+        Stresses that a mast measured, m² s⁻²; NaN where there are none.
+    position : tuple of float
+        Where it did, m in the levelled frame of the lidar.
     """
 
     correlation: FloatArray
     scan: Scan
     column: NDArray[np.int64]
     duration: float
+    mast: FloatArray | None = None
+    position: tuple[float, ...] = ()
 
     def take(self, records: NDArray[np.int64] | slice) -> PairData:
         """Return those of some of the records."""
-        return replace(self, correlation=self.correlation[records])
+        mast = None if self.mast is None else self.mast[records]
+        return replace(self, correlation=self.correlation[records], mast=mast)
 
     def join(self, others: list[PairData]) -> PairData:
         """Return these and those of other records, one after the other."""
-        return replace(self, correlation=np.concatenate([self.correlation, *(one.correlation for one in others)]))
+        parts = [self, *others]
+        mast = [part.mast for part in parts if part.mast is not None]
+        return replace(
+            self,
+            correlation=np.concatenate([part.correlation for part in parts]),
+            mast=np.concatenate(mast) if mast else None,
+        )
 
 
-def pair_data(records: xr.Dataset, scan: Scan, duration: float) -> PairData:
-    """Return the correlations that records hold.
+def pair_data(records: xr.Dataset, scan: Scan, duration: float, *, correlations: bool) -> PairData:
+    """Return the correlations that records hold, and what a mast measured beside them.
 
     Parameters
     ----------
     records : Dataset
-        From ``make_records(..., correlations=True)``.
+        From ``make_records(..., correlations=True)``, and `bayes_rs.wind.with_mast`.
     scan : Scan
         Of the records' beams.
     duration : float
         Length of a record, s.
+    correlations : bool
+        Whether the correlations are needed; without, all are NaN.
 
     Raises
     ------
     InputError
-        If they hold none, or fewer than two beams.
+        If they are needed, and there are none, or of fewer than two beams.
     """
+    mast, position = None, ()
+    if MAST in records:
+        mast = np.asarray(records[MAST].values, dtype=np.float64)
+        position = tuple(json.loads(records.attrs[MAST_POSITION]))
+    if not correlations:
+        numbers = correlated_beams(scan)
+        n_pair = len(numbers) * (len(numbers) - 1) // 2
+        column = np.flatnonzero(np.isin(scan.beam, numbers))
+        nothing = np.full((records.sizes["record"], n_pair), np.nan)
+        return PairData(nothing, scan.select(numbers), column, duration, mast, position)
     if CORRELATION not in records or CORRELATED_BEAMS not in records.attrs:
         raise InputError(
             "The records hold no correlations between beams, which information 'covariances' needs: make them with "
@@ -88,7 +114,8 @@ def pair_data(records: xr.Dataset, scan: Scan, duration: float) -> PairData:
     of_pair = pair_columns(present, have)
     values = np.asarray(records[CORRELATION].values, dtype=np.float64)
     correlation = np.where(of_pair >= 0, values[:, of_pair], np.nan)
-    return PairData(correlation, scan.select(present), np.flatnonzero(np.isin(scan.beam, present)), duration)
+    column = np.flatnonzero(np.isin(scan.beam, present))
+    return PairData(correlation, scan.select(present), column, duration, mast, position)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +172,10 @@ def record_moments(
         for node, weight in zip(NODES, WEIGHTS, strict=True):
             moved = length_scale * np.exp(node * length_log_sd)
             covariance += weight * _between(pairs, wind_speed, yaw, moved, gamma).covariance
-    return RecordMoments(pairs.scan.at_yaw(yaw), **{**middle._asdict(), "covariance": covariance})
+    direction = pairs.scan.at_yaw(yaw)
+    if pairs.mast is not None:
+        direction = np.concatenate([direction, np.broadcast_to(np.eye(3), (len(yaw), 3, 3))], axis=1)
+    return RecordMoments(direction, **{**middle._asdict(), "covariance": covariance})
 
 
 def _between(
@@ -172,7 +202,11 @@ def _between(
         if len(some) == 0:
             continue
         nodes, of = np.unique(low[some] + corner, axis=0, return_inverse=True)
-        made = [_moments_at(_Hashed(pairs.scan), pairs.duration, *node) for node in nodes.astype(np.int64).tolist()]
+        position = pairs.position if pairs.mast is not None else ()
+        made = [
+            _moments_at(_Hashed(pairs.scan), pairs.duration, position, *node)
+            for node in nodes.astype(np.int64).tolist()
+        ]
         stacked = [np.stack(values) for values in zip(*made, strict=True)]
         if not total:
             total = [np.zeros((len(point), *values.shape[1:])) for values in stacked]
@@ -196,10 +230,15 @@ class _Hashed:
 
 @lru_cache(maxsize=4096)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _moments_at(scan: _Hashed, duration: float, speed: int, yaw: int, length: int, gamma: int) -> CovarianceMoments:
+def _moments_at(
+    scan: _Hashed, duration: float, position: tuple[float, ...], speed: int, yaw: int, length: int, gamma: int
+) -> CovarianceMoments:
     node = _STEPS * [speed, yaw, length, gamma]
+    views = Views.of_scan(scan.scan, float(node[1]))
+    if position:
+        views = views.with_mast(np.array(position) @ yaw_matrix(float(node[1])))
     found = covariance_moments(
-        Views.of_scan(scan.scan, float(node[1])),
+        views,
         MannTurbulence(1.0, float(np.exp(node[2])), float(node[3])),
         wind_speed=float(np.exp(node[0])),
         n_sample=int(np.min(sample_counts(scan.scan, duration))),

@@ -113,6 +113,11 @@ class FitOptions:
         "With covariances, standard deviation of the logarithms of the lateral and of the vertical scale over which "
         "velocities go together",
     )
+    mast_log_sd: float = option(
+        0.1,
+        "Standard deviation of the logarithm of the ratio of the stresses at a mast beside the records to those at the "
+        "beams",
+    )
     target_ess: int = option(1000, "Bulk effective sample size that every stress should reach", flag="--ess")
     max_extension: int = option(5, "How often a chain that is too short may be doubled")
     monte_carlo_error: float | None = option(
@@ -215,6 +220,7 @@ class FitOptions:
         """Refuse what does not go with covariances."""
         check_choice(self.information, INFORMATION, what="information")
         check_non_negative(self.coherence_log_sd, what="coherence_log_sd", unit="")
+        check_non_negative(self.mast_log_sd, what="mast_log_sd", unit="")
         if self.information == "variances":
             return
         if self.target == "sonic":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,10 +10,8 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.stated_time import stated_times
+from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
 
-_NEAR = 0.05
-"""A row belongs to a record if their starts differ by at most this share of the record's length."""
 _LARGEST = 1.0
 """Median above which a turbulence intensity is taken for one in per cent."""
 _NAMES = {"time": "time", "timestamp": "time", "ti": "ti", "sigma_u": "sigma_u", "u": "U", "wind_speed": "U"}
@@ -48,15 +45,15 @@ def intensity_reference(
         If the file cannot be read, columns are missing, times or numbers are none, two rows are of one time, the
         intensity is in per cent, or no row is of any record.
     """
-    table, where = _table(source)
+    table, where = reference_table(source)
     columns = {_NAMES[str(name).strip().lower()]: name for name in table.columns if str(name).strip().lower() in _NAMES}
     if "time" not in columns or not ("ti" in columns or {"sigma_u", "U"} <= set(columns)):
         found = ", ".join(repr(str(name)) for name in table.columns[:20])
         raise InputError(
             f"The reference {where} has the columns {found}, and needs time, and ti or sigma_u and U: rename them."
         )
-    start = _times(table[columns["time"]], where)
-    numbers = {name: _numbers(table[columns[name]], name, where) for name in columns if name != "time"}
+    start = reference_times(table[columns["time"]], where)
+    numbers = {name: reference_numbers(table[columns[name]], name, where) for name in columns if name != "time"}
     speed = numbers.get("U", np.full(len(table), np.nan))
     with np.errstate(invalid="ignore", divide="ignore"):
         ti = numbers["ti"] if "ti" in numbers else numbers["sigma_u"] / np.where(speed > 0.0, speed, np.nan)
@@ -66,69 +63,6 @@ def intensity_reference(
             f"The turbulence intensity of the reference {where} has the median {np.nanmedian(ti):g}: give σ_u/U, not "
             "per cent."
         )
-    row = _matched(start, time, duration, where)
+    row = matched_rows(start, time, duration, where)
     there = row >= 0
     return np.where(there, ti[row], np.nan), np.where(there, speed[row], np.nan)
-
-
-def _table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    if isinstance(source, pd.DataFrame):
-        return source, "that was given"
-    try:
-        return pd.read_csv(source, dtype=str, encoding="utf-8-sig", skipinitialspace=True), f"in {str(source)!r}"
-    except (OSError, ValueError) as error:  # the errors of pandas' parser are ValueErrors
-        raise InputError(f"The reference {str(source)!r} cannot be read as CSV: {error}.") from error
-
-
-def _times(column: pd.Series[Any], where: str) -> NDArray[np.datetime64]:
-    if isinstance(column.dtype, pd.DatetimeTZDtype) or column.dtype.kind == "M":
-        stamps = pd.to_datetime(column, utc=True)
-    else:
-        stamps = stated_times(column)
-    bad = np.flatnonzero(stamps.isna().to_numpy())
-    if len(bad):
-        raise InputError(
-            f"Row {bad[0]} of the reference {where} has the time {str(column.iloc[bad[0]])!r}: write 2020-09-04 12:00."
-        )
-    found = stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    order, count = np.unique(found, return_counts=True)
-    if np.any(count > 1):
-        raise InputError(f"The reference {where} has {count.max()} rows of {order[count > 1][0]}: keep one of a time.")
-    return np.asarray(found)
-
-
-def _numbers(column: pd.Series[Any], name: str, where: str) -> FloatArray:
-    found = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-    empty = column.isna() | column.astype("string").str.strip().str.lower().isin(["", "nan", "na", "null"])
-    bad = np.flatnonzero(~np.isfinite(found) & ~empty.to_numpy(dtype=np.bool_))
-    if len(bad):
-        raise InputError(
-            f"Row {bad[0]} of the reference {where} has {name} {str(column.iloc[bad[0]])!r}, which is no number: leave "
-            "it empty where there is none."
-        )
-    return np.asarray(found)
-
-
-def _matched(
-    start: NDArray[np.datetime64], time: NDArray[np.datetime64], duration: float, where: str
-) -> NDArray[np.int64]:
-    """Return the row of each record, −1 where there is none."""
-    known = ~np.isnat(time)
-    if not len(start) or not known.any():
-        raise InputError(
-            f"The reference {where} has {len(start)} rows, and {int(known.sum())} of {len(time)} records have a time: "
-            "they are matched by time."
-        )
-    order = np.argsort(start)
-    ordered = start[order].astype(np.int64)
-    wanted = np.where(known, time.astype("datetime64[ns]").astype(np.int64), 0)
-    above = np.clip(np.searchsorted(ordered, wanted), 0, len(ordered) - 1)
-    below = np.maximum(above - 1, 0)
-    nearest = np.where(np.abs(ordered[below] - wanted) <= np.abs(ordered[above] - wanted), below, above)
-    near = known & (np.abs(ordered[nearest] - wanted) <= _NEAR * duration * 1e9)
-    if not near.any():
-        raise InputError(
-            f"No row of the reference {where} ({start.min()} to {start.max()}) begins with a record "
-            f"({time[known].min()} to {time[known].max()}): check its time zone, and that its times are starts."
-        )
-    return np.where(near, order[nearest], -1)

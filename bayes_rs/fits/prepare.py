@@ -23,6 +23,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
 from bayes_rs.records.layout import TURBINE, check_layout
 from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, mean_of_used
+from bayes_rs.wind.mast import MAST
 
 LEAST_NOISE = 0.5
 """Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
@@ -76,8 +77,10 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         common_sd,
         group=campaign_groups(records, options.campaign_group),
     )
-    if options.information == "covariances":
-        batch = replace(batch, pairs=pair_data(records, scan, noise.duration))
+    correlations = options.information == "covariances"
+    if correlations or MAST in records:
+        _check_mast(records, options)
+        batch = replace(batch, pairs=pair_data(records, scan, noise.duration, correlations=correlations))
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
         batch = replace(batch, scatter=np.stack(both, axis=-1).astype(np.float64))
@@ -118,6 +121,17 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
     """Return which variances of records were made of enough good samples, shape (n_record, n_beam)."""
     variance = np.asarray(records["variance"].values, dtype=np.float64)
     return np.asarray((records["flag"].values == 0) & (variance > LEAST_VARIANCE) & np.isfinite(variance))
+
+
+def _check_mast(records: xr.Dataset, options: FitOptions) -> None:
+    """Refuse options that do not go with a mast beside the beams."""
+    turned = [name for name in options.nuisances.names if name != "instrument_noise"]
+    if MAST in records and (turned or options.target == "sonic"):
+        what = f"target {options.target!r}" if not turned else f"an uncertain {turned[0]}"
+        raise InputError(
+            f"Invalid {what} with a mast beside the beams: it would count for the mast, too; leave it out, or the "
+            "mast (drop 'mast_stress' of the records)."
+        )
 
 
 def _checked_scan(records: xr.Dataset, scan: Scan) -> Scan:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import unpack_stress
-from bayes_rs.likelihoods.base import NormalLikelihood, beam_data, check_tails, factor_reduced, log_normalizer
+from bayes_rs.likelihoods.base import BeamData, NormalLikelihood, check_tails, factor_reduced, log_normalizer
 
 _LOWER = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 """The six elements of the factor of R, in the order in which they are kept."""
@@ -28,10 +28,10 @@ class CovarianceLikelihood(NormalLikelihood):
         As in `Likelihood`; those of the variances.
     form : ndarray, shape (n_record, 21, n_datum)
         Expected covariances of two views, without noise, in the products of two elements of the factor L of R = L Lᵀ.
-    view : ndarray of int, shape (n_view,)
-        The beams whose variances and correlations are the data.
     noise : ndarray, shape (n_record, n_view)
-        The instrument's noise in their variances, m² s⁻².
+        The instrument's noise in the variances of the views, m² s⁻².
+    view_place : ndarray or None, shape (n_record, n_view, n_gradient)
+        Where the views measure; as `place`, which is that of all beams.
     seen : ndarray of bool, shape (n_record, n_datum)
         Which data a record has.
     datum : ndarray, shape (n_record, n_datum)
@@ -55,8 +55,8 @@ class CovarianceLikelihood(NormalLikelihood):
     gain: FloatArray
     offset: FloatArray
     form: FloatArray
-    view: NDArray[np.int64]
     noise: FloatArray
+    view_place: FloatArray | None
     seen: NDArray[np.bool_]
     datum: FloatArray
     whitening: FloatArray
@@ -65,10 +65,6 @@ class CovarianceLikelihood(NormalLikelihood):
     turn: FloatArray | None = None
     dof: float = np.inf
     place: FloatArray | None = None
-
-    def take(self, records: NDArray[np.int64]) -> CovarianceLikelihood:
-        """Return the likelihood of some of the records."""
-        return replace(super().take(records), view=self.view)
 
     def data_means(
         self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None
@@ -82,8 +78,8 @@ class CovarianceLikelihood(NormalLikelihood):
         n_view = self.noise.shape[1]
         first, second = np.triu_indices(n_view, 1)
         own, pair = expected[..., :n_view], expected[..., n_view:]
-        if self.place is not None and gradient is not None:
-            grown = gradient @ self.place[:, self.view].swapaxes(-1, -2)
+        if self.view_place is not None and gradient is not None:
+            grown = gradient @ self.view_place.swapaxes(-1, -2)
             own = own * np.exp(grown)
             pair = pair * np.exp(0.5 * (grown[..., first] + grown[..., second]))
         own = own + self.noise[:, None, :]
@@ -101,48 +97,57 @@ class CovarianceLikelihood(NormalLikelihood):
         return off @ self.whitening.swapaxes(-1, -2), self.log_normalizer[:, None]
 
 
+@dataclass(frozen=True)
+class ViewData:
+    """The data of many records: what some instruments or beams see.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (n_record, n_view)
+        Variances y, m² s⁻².
+    used : ndarray of bool, shape (n_record, n_view)
+        Which of them count.
+    correlation : ndarray, shape (n_record, n_pair)
+        Of the pairs of views, row by row; those that are NaN do not count, nor those of views that are not used.
+    noise : ndarray, shape (n_record, n_view)
+        The instrument's noise in the variances, m² s⁻².
+    place : ndarray, shape (n_record, n_view, n_gradient), optional
+        Where they measure, for stresses with gradients: see `Likelihood`.
+    """
+
+    variance: FloatArray
+    used: NDArray[np.bool_]
+    correlation: FloatArray
+    noise: FloatArray
+    place: FloatArray | None = None
+
+
 def covariance_likelihood(
-    variance: FloatArray,
-    correlation: FloatArray,
-    used: NDArray[np.bool_],
-    view: NDArray[np.int64],
-    gain: FloatArray,
+    beams: BeamData,
+    views: ViewData,
     form: FloatArray,
     covariance: FloatArray,
     bias: FloatArray,
-    offset: FloatArray | float = 0.0,
     *,
     dof: float = np.inf,
     turn: FloatArray | None = None,
-    place: FloatArray | None = None,
 ) -> CovarianceLikelihood:
     """Prepare the likelihood of the variances and correlations of many records.
 
     Parameters
     ----------
-    variance : ndarray, shape (n_record, n_beam)
-        Variances y, m² s⁻².
-    correlation : ndarray, shape (n_record, n_pair)
-        Correlations of the pairs of views, in the order of `view_pairs`; those that are NaN do not count, nor those of
-        views that are not used.
-    used : ndarray of bool, shape (n_record, n_beam)
-        Which variances count.
-    view : ndarray of int, shape (n_view,)
-        The beams whose variances and correlations are the data.
-    gain : ndarray, shape (n_record, n_beam, 6)
-        Of all beams, for what is reported of them; the likelihood itself takes `form`.
+    beams : BeamData
+        All beams, for what is reported of them.
+    views : ViewData
+        The data.
     form : ndarray, shape (n_record, 21, n_datum)
         From `covariance_forms`.
     covariance, bias : ndarray, shapes (n_record, n_datum, n_datum) and (n_record, n_datum)
         Of ln y and z.
-    offset : ndarray or float, shape (n_record, n_beam)
-        Variance of the instrument's own noise, m² s⁻².
     dof : float
         Degrees of freedom of the noise, as in `log_normal_likelihood`.
     turn : ndarray, shape (n_record, 6, 6), optional
         What takes the stresses to the record's own tilt and roll.
-    place : ndarray, shape (n_record, n_beam, n_gradient), optional
-        Where the beams measure, for stresses with gradients: see `Likelihood`.
 
     Returns
     -------
@@ -151,41 +156,43 @@ def covariance_likelihood(
 
     Raises
     ------
-    InputError, NotPositiveDefiniteError
-        As `log_normal_likelihood`.
+    InputError
+        If a record has no datum, or a used variance is not positive.
+    NotPositiveDefiniteError
+        If the noise of a record is singular.
     """
     check_tails(1.0, dof)
-    data = beam_data(variance, used, gain, offset, place)
-    own, n_view = used[:, view], len(view)
-    idle = np.flatnonzero(~own.any(axis=1))
+    n_view = views.variance.shape[1]
+    idle = np.flatnonzero(~views.used.any(axis=1))
     if len(idle):
         raise InputError(
             f"Record {idle[0]} has none of the beams that are correlated: leave such records out, or use information "
             "'variances'."
         )
     first, second = np.triu_indices(n_view, 1)
-    there = own[:, first] & own[:, second] & (np.abs(correlation) < 1.0)
-    seen = np.concatenate([own, there], axis=1)
-    z = np.arctanh(np.where(there, correlation, 0.0))
-    datum = np.where(seen, np.concatenate([np.log(data.variance[:, view]), z], axis=1) - bias, 0.0)
+    there = views.used[:, first] & views.used[:, second] & (np.abs(views.correlation) < 1.0)
+    seen = np.concatenate([views.used, there], axis=1)
+    log_variance = np.log(np.where(views.used, views.variance, 1.0))
+    z = np.arctanh(np.where(there, views.correlation, 0.0))
+    datum = np.where(seen, np.concatenate([log_variance, z], axis=1) - bias, 0.0)
     masked = np.where(seen[:, :, None] & seen[:, None, :], covariance, 0.0)
     factor = factor_reduced(masked, seen, n_view, what="covariance of variances and correlations")
     whitening = np.linalg.solve(factor, np.eye(seen.shape[1]) * seen[:, None, :])
     n_datum = seen.sum(axis=1).astype(np.int64)
     log_determinant = 2.0 * np.log(np.einsum("rdd->rd", factor)).sum(axis=1)
     return CovarianceLikelihood(
-        gain=data.gain,
-        offset=data.offset,
+        gain=beams.gain,
+        offset=beams.offset,
         form=form,
-        view=view,
-        noise=data.offset[:, view],
+        noise=np.where(views.used, views.noise, 0.0),
+        view_place=views.place,
         seen=seen,
         datum=datum,
         whitening=whitening,
         log_normalizer=log_normalizer(n_datum, log_determinant, float(dof)),
         n_datum=n_datum,
         turn=turn,
-        place=data.place,
+        place=beams.place,
         dof=float(dof),
     )
 

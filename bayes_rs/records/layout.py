@@ -53,6 +53,7 @@ RECORDS: dict[str, Entry] = {
     "block_scatter": Entry(("record", "blocks")),
     "block_scatter_of_beams": Entry(("record", "blocks")),
     "beam_correlation": Entry(("record", "beam_pair"), most=1.0),
+    "mast_stress": Entry(("record", "stress"), unit=_VARIANCE, most=_ANY),
     "octave_variance": Entry(("record", "beam", "octave"), unit=_VARIANCE),
     "trend": Entry(_BOTH),
     "trend_p_value": Entry(_BOTH),

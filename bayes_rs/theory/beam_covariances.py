@@ -66,6 +66,17 @@ class Views:
             scan.scan_duration,
         )
 
+    def with_mast(self, position: FloatArray) -> Views:
+        """Return these and u, v and w at a point, shape (3,), m in the mean-wind frame, sampled once a scan."""
+        axes = np.eye(3)
+        return replace(
+            self,
+            direction=np.concatenate([self.direction, axes]),
+            place=np.concatenate([self.place, np.broadcast_to(position, (3, 3))]),
+            time=np.concatenate([self.time, np.zeros(3)]),
+            length=np.concatenate([self.length, np.zeros(3)]),
+        )
+
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.direction)

@@ -1,3 +1,4 @@
+from .mast import with_mast as with_mast
 from .mean_error import beam_mean_covariance as beam_mean_covariance
 from .mean_vector import mean_wind as mean_wind
 from .motion import add_motion as add_motion

@@ -1,0 +1,83 @@
+"""A table of another instrument, by starts of its periods: read, checked, and matched with records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.stated_time import stated_times
+
+_NEAR = 0.05
+"""A row belongs to a record if their starts differ by at most this share of the record's length."""
+
+
+def reference_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """Return a table, read if it is a file, and where it is in words."""
+    if isinstance(source, pd.DataFrame):
+        return source, "that was given"
+    try:
+        return pd.read_csv(source, dtype=str, encoding="utf-8-sig", skipinitialspace=True), f"in {str(source)!r}"
+    except (OSError, ValueError) as error:  # the errors of pandas' parser are ValueErrors
+        raise InputError(f"The reference {str(source)!r} cannot be read as CSV: {error}.") from error
+
+
+def reference_times(column: pd.Series[Any], where: str) -> NDArray[np.datetime64]:
+    """Return the starts of a table's periods, UTC, each there once."""
+    if isinstance(column.dtype, pd.DatetimeTZDtype) or column.dtype.kind == "M":
+        stamps = pd.to_datetime(column, utc=True)
+    else:
+        stamps = stated_times(column)
+    bad = np.flatnonzero(stamps.isna().to_numpy())
+    if len(bad):
+        raise InputError(
+            f"Row {bad[0]} of the reference {where} has the time {str(column.iloc[bad[0]])!r}: write 2020-09-04 12:00."
+        )
+    found = stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    order, count = np.unique(found, return_counts=True)
+    if np.any(count > 1):
+        raise InputError(f"The reference {where} has {count.max()} rows of {order[count > 1][0]}: keep one of a time.")
+    return np.asarray(found)
+
+
+def reference_numbers(column: pd.Series[Any], name: str, where: str) -> FloatArray:
+    """Return a column of numbers; NaN where it is empty."""
+    found = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+    empty = column.isna() | column.astype("string").str.strip().str.lower().isin(["", "nan", "na", "null"])
+    bad = np.flatnonzero(~np.isfinite(found) & ~empty.to_numpy(dtype=np.bool_))
+    if len(bad):
+        raise InputError(
+            f"Row {bad[0]} of the reference {where} has {name} {str(column.iloc[bad[0]])!r}, which is no number: leave "
+            "it empty where there is none."
+        )
+    return np.asarray(found)
+
+
+def matched_rows(
+    start: NDArray[np.datetime64], time: NDArray[np.datetime64], duration: float, where: str
+) -> NDArray[np.int64]:
+    """Return the row of each record, −1 where there is none."""
+    known = ~np.isnat(time)
+    if not len(start) or not known.any():
+        raise InputError(
+            f"The reference {where} has {len(start)} rows, and {int(known.sum())} of {len(time)} records have a time: "
+            "they are matched by time."
+        )
+    order = np.argsort(start)
+    ordered = start[order].astype(np.int64)
+    wanted = np.where(known, time.astype("datetime64[ns]").astype(np.int64), 0)
+    above = np.clip(np.searchsorted(ordered, wanted), 0, len(ordered) - 1)
+    below = np.maximum(above - 1, 0)
+    nearest = np.where(np.abs(ordered[below] - wanted) <= np.abs(ordered[above] - wanted), below, above)
+    near = known & (np.abs(ordered[nearest] - wanted) <= _NEAR * duration * 1e9)
+    if not near.any():
+        raise InputError(
+            f"No row of the reference {where} ({start.min()} to {start.max()}) begins with a record "
+            f"({time[known].min()} to {time[known].max()}): check its time zone, and that its times are starts."
+        )
+    return np.where(near, order[nearest], -1)
