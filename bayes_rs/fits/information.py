@@ -47,7 +47,9 @@ def variances_alone(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Re
     mean and covariance over the draws: what the variances leave open of R is not a misfit. Errors of the coherence's
     scales, within what they are given, are none either.
     """
-    draws = fit_batch(batch, noise, replace(options, information="variances"), predict=False)
+    of_mast = batch.pairs is not None and batch.pairs.mast is not None
+    by_variances = batch if of_mast else replace(batch, pairs=None)
+    draws = fit_batch(by_variances, noise, replace(options, information="variances"), predict=False)
     likelihood = make_posterior(batch, noise, options)[0].likelihood
     if isinstance(likelihood, MixtureLikelihood):
         likelihood = likelihood.parts[len(likelihood.parts) // 2]

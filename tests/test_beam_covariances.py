@@ -1,0 +1,514 @@
+"""Variances and covariances of beams together: theory against simulation, laws, the data, and the fit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from scenes import point_scan
+
+import bayes_rs as brs
+from bayes_rs.errors import InputError
+from bayes_rs.geometry.forward import design_matrix
+from bayes_rs.geometry.stress import pack_stress, unpack_stress
+from bayes_rs.likelihoods.base import beam_data
+from bayes_rs.likelihoods.covariances import ViewData, covariance_forms, covariance_likelihood, factor_products
+from bayes_rs.likelihoods.log_normal import log_normal_likelihood
+from bayes_rs.records.beam_correlation import MOST_BEAMS, correlated_beams, pair_columns
+from bayes_rs.theory.beam_covariances import Views, component_weights, covariance_moments, view_pairs
+from bayes_rs.turbulence.two_point import velocity_covariance
+
+FLOW = brs.load_turbulence("fu-2022")
+SCAN = brs.load_scan("6-beam@opening_angle_deg=30")
+N_SAMPLE = 600
+ROUNDING = 1e-12
+TABLES = 2e-3  # of uu: the tolerance of the covariances, and what the sums over few lags add
+FEW_LAGS = 5e-3  # relative error of sums of squares from few lags
+
+
+def moments_of(scan=SCAN, flow=FLOW, *, wind_speed=10.0, yaw=0.0, n_sample=N_SAMPLE):
+    return covariance_moments(Views.of_scan(scan, yaw), flow, wind_speed=wind_speed, n_sample=n_sample)
+
+
+def expected_of(moments, direction):
+    first, second = view_pairs(len(direction))
+    return np.sum(component_weights(direction[first], direction[second]) * moments.tensor, axis=-1)
+
+
+def data_means(moments, direction):
+    n_view = len(direction)
+    first, second = (side[n_view:] for side in view_pairs(n_view))
+    expected = expected_of(moments, direction)
+    own = expected[:n_view]
+    return np.concatenate([np.log(own), np.arctanh(expected[n_view:] / np.sqrt(own[first] * own[second]))])
+
+
+def random_stress(rng, count):
+    root = rng.normal(size=(count, 3, 3))
+    return pack_stress(root @ root.swapaxes(-1, -2))
+
+
+class TestTheory:
+    def test_expected_covariances_are_those_of_an_obvious_sum(self):
+        """E y_ab = Σ_ij P_ij C_ab(j, i) / N, sample by sample, at the samples' own places and times."""
+        scan = point_scan([[-0.9, 0.3, 0.3], [-0.9, -0.3, 0.3]], times=[0.0, 2.0], scan_duration=5.0)
+        n = 24
+        found = covariance_moments(Views.of_scan(scan, 0.1), FLOW, wind_speed=8.0, n_sample=n)
+        direction = scan.at_yaw(0.1)
+        place = direction[:, None] * scan.focus_distance[:, None, None] + np.zeros((2, n, 3))
+        place[:, :, 0] -= 8.0 * (scan.beam_time[:, None] + scan.scan_duration * np.arange(n))
+        for datum, (a, b) in enumerate(zip(*view_pairs(2), strict=True)):
+            apart = place[b][None] - place[a][:, None]
+            tensor = velocity_covariance(apart, FLOW, tolerance=1e-4)
+            centre = np.eye(n) - 1.0 / n
+            slow = np.einsum("ij,jkpq,ki->pq", centre, tensor, centre) / n
+            np.testing.assert_allclose(
+                found.tensor[datum], pack_stress(slow), atol=TABLES * FLOW.stresses()[0], rtol=0.0
+            )
+
+    def test_moments_of_the_data_are_those_of_simulated_records(self):
+        """ln y and z of 500 records: standard deviations within 4 standard errors, means too, as a whole."""
+        n_record = 500
+        scan = brs.load_scan("4-beam@opening_angle_deg=20")
+        series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=n_record, seed=3)
+        records = brs.make_records(series, scan, correlations=True)
+        data = np.concatenate([np.log(records["variance"].values), np.arctanh(records["beam_correlation"].values)], 1)
+        moments = moments_of(scan)
+        sd = np.sqrt(moments.covariance.diagonal())
+        off = (data.mean(axis=0) - data_means(moments, scan.at_yaw(0.0)) - moments.bias) / (sd / np.sqrt(n_record))
+        assert np.max(np.abs(off)) < 4.0
+        ratio = data.std(axis=0) / sd
+        # a standard deviation of n records has the relative error 1/sqrt(2n); ln y and z are of first order, 3 %
+        assert np.max(np.abs(ratio - 1.0)) < 4.0 / np.sqrt(2.0 * n_record) + 0.03
+        whitened = np.linalg.solve(np.linalg.cholesky(moments.covariance), (data - data.mean(axis=0)).T)
+        assert np.linalg.eigvalsh(np.cov(whitened)).max() < 1.5
+
+    def test_variances_scatter_as_the_noise_of_the_package_has_it(self):
+        noise = brs.noise.theory(SCAN, FLOW, wind_speed=10.0)
+        own = moments_of().covariance[: SCAN.n_beam, : SCAN.n_beam]
+        # ln(1 + K) on the diagonal, and beside it K times what that is there: less by half of K's difference, 0.03
+        np.testing.assert_allclose(own, np.log1p(noise.covariance[0]), rtol=0.03)
+        np.testing.assert_allclose(np.diag(own), np.diag(np.log1p(noise.covariance[0])), rtol=FEW_LAGS)
+
+    def test_a_beam_twice_is_correlated_to_one(self):
+        scan = point_scan([[-0.9, 0.3, 0.3], [-0.9, 0.3, 0.31]])
+        z = data_means(moments_of(scan), scan.at_yaw(0.0))[2]
+        assert z > 2.0
+
+    def test_larger_eddies_are_closer_beams(self):
+        """The slopes with lateral and vertical scale are those of a scan whose points are closer together."""
+        moments = moments_of()
+        assert np.all(moments.slope[SCAN.n_beam :, 1:] > -0.02)
+        assert np.max(moments.slope[SCAN.n_beam :, 1]) > 0.1
+
+    def test_the_dissipation_scales_tensor_and_record_alone(self):
+        one, other = moments_of(), moments_of(flow=replace(FLOW, dissipation=2.0 * FLOW.dissipation))
+        np.testing.assert_allclose(other.tensor, 2.0 * one.tensor, rtol=1e-9)
+        np.testing.assert_allclose(other.record, 2.0 * one.record, rtol=1e-9)
+        for name in ("covariance", "bias", "slope"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9, atol=1e-12)
+
+    def test_probed_beams_lose_variance(self):
+        probed, points = (
+            brs.load_scan(f"zx-300@{change}") for change in ("focus_distance=98", "focus_distance=98,probe=point")
+        )
+        some = probed.beam[::10]
+        with_probe, without = (moments_of(scan.select(some)) for scan in (probed, points))
+        direction = probed.select(some).at_yaw(0.0)
+        n = len(some)
+        assert np.all(expected_of(with_probe, direction)[:n] < expected_of(without, direction)[:n])
+
+
+class TestForms:
+    def test_the_model_s_own_stresses_give_the_model_s_covariances(self):
+        moments = moments_of(yaw=0.2)
+        direction = SCAN.at_yaw(0.2)
+        first, second = view_pairs(SCAN.n_beam)
+        form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
+        np.testing.assert_allclose(factor_products(moments.record) @ form, expected_of(moments, direction), rtol=1e-10)
+
+    def test_points_have_the_variance_n_r_n_for_all_stresses(self):
+        moments, stress = moments_of(), random_stress(np.random.default_rng(1), 50)
+        direction = SCAN.at_yaw(0.0)
+        first, second = view_pairs(SCAN.n_beam)
+        form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
+        found = (factor_products(stress) @ form)[:, : SCAN.n_beam]
+        np.testing.assert_allclose(found, stress @ design_matrix(direction).T, rtol=FEW_LAGS)
+
+    def test_covariances_are_those_of_transformed_velocities(self):
+        """n_a · T C Tᵀ n_b with T = L(R) L(R_m)⁻¹, written out."""
+        moments, (stress,) = moments_of(), random_stress(np.random.default_rng(2), 1)
+        direction = SCAN.at_yaw(0.0)
+        first, second = view_pairs(SCAN.n_beam)
+        form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
+        turn = np.linalg.cholesky(unpack_stress(stress)) @ np.linalg.inv(
+            np.linalg.cholesky(unpack_stress(moments.record))
+        )
+        whole = turn @ unpack_stress(moments.tensor) @ turn.T
+        expected = np.einsum("di,dij,dj->d", direction[first], whole, direction[second])
+        np.testing.assert_allclose(factor_products(stress) @ form, expected, rtol=1e-9, atol=1e-9)
+
+    def test_no_realizable_stresses_make_a_correlation_beyond_one(self):
+        moments, stress = moments_of(), random_stress(np.random.default_rng(3), 2000)
+        direction = SCAN.at_yaw(0.0)
+        first, second = view_pairs(SCAN.n_beam)
+        form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
+        found = factor_products(stress) @ form
+        n = SCAN.n_beam
+        assert np.all(np.abs(found[:, n:]) < np.sqrt(found[:, first[n:]] * found[:, second[n:]]))
+
+
+class TestLikelihood:
+    def made(self, *, correlations=True, noise=0.0):
+        moments, rng = moments_of(), np.random.default_rng(4)
+        n, n_record = SCAN.n_beam, 5
+        data = data_means(moments, SCAN.at_yaw(0.0)) + moments.bias
+        data = data + rng.normal(size=(n_record, len(data))) @ np.linalg.cholesky(moments.covariance).T
+        variance, correlation = np.exp(data[:, :n]) + noise, np.tanh(data[:, n:])
+        if not correlations:
+            correlation[:] = np.nan
+        used = np.ones(variance.shape, dtype=bool)
+        used[0, 2] = False
+        direction = SCAN.at_yaw(0.0)
+        gain = np.broadcast_to(design_matrix(direction), (n_record, n, 6))
+        first, second = view_pairs(n)
+        form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
+        alike = [np.broadcast_to(one, (n_record, *one.shape)) for one in (form, moments.covariance, moments.bias)]
+        own = np.full(variance.shape, noise)
+        like = covariance_likelihood(
+            beam_data(variance, used, gain, noise), ViewData(variance, used, correlation, own), *alike
+        )
+        return like, variance, used, gain, moments, noise
+
+    def test_without_correlations_it_is_the_likelihood_of_the_variances(self):
+        like, variance, used, gain, moments, _ = self.made(correlations=False)
+        n = SCAN.n_beam
+        relative = np.broadcast_to(np.expm1(moments.covariance[:n, :n]), (len(variance), n, n))
+        other = log_normal_likelihood(variance, used, gain, relative)
+        stress = FLOW.stresses() * np.random.default_rng(5).uniform(0.7, 1.3, (len(variance), 40, 6))
+        one, two = (each.log_density(stress) for each in (like, other))
+        # the stresses can move all six log-variances by themselves: the same but for a constant
+        difference = one - two
+        np.testing.assert_allclose(difference - difference[:, :1], 0.0, atol=0.05)
+
+    def test_it_is_the_normal_density_of_the_data(self):
+        like, *_ = self.made(noise=0.05)
+        stress = FLOW.stresses() * np.random.default_rng(6).uniform(0.8, 1.2, (len(like.gain), 3, 6))
+        density = like.log_density(stress)
+        for record in range(len(like.gain)):
+            seen = like.seen[record]
+            whole = np.linalg.inv(like.whitening[record][np.ix_(seen, seen)])
+            covariance = whole @ whole.T
+            for draw in range(3):
+                off = (like.datum[record] - like.data_means(stress)[record, draw])[seen]
+                expected = -0.5 * (
+                    off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+                )
+                assert density[record, draw] == pytest.approx(expected, rel=1e-9)
+
+    def test_noise_of_the_instrument_lowers_correlations(self):
+        like, *_ = self.made()
+        stress = np.broadcast_to(FLOW.stresses(), (len(like.gain), 1, 6))
+        quiet, loud = like.data_means(stress), like.data_means(stress, np.full((len(like.gain), 1), 0.2))
+        n = SCAN.n_beam
+        assert np.all(loud[1, 0, n:] < quiet[1, 0, n:])
+        assert np.all(loud[1, 0, :n] > quiet[1, 0, :n])
+
+    def test_stresses_that_are_not_realizable_have_no_likelihood(self):
+        like, *_ = self.made()
+        stress = np.broadcast_to([1.0, 0.5, 0.2, 0.9, 0.0, 0.0], (len(like.gain), 1, 6))
+        assert np.all(like.log_density(stress) == -np.inf)
+
+    def test_few_records_of_it_and_any_layout_in_memory_are_the_same(self):
+        like, *_ = self.made()
+        stress = FLOW.stresses() * np.random.default_rng(7).uniform(0.8, 1.2, (len(like.gain), 4, 6))
+        whole = like.log_density(stress)
+        np.testing.assert_array_equal(like.take(np.array([1, 3])).log_density(stress[[1, 3]]), whole[[1, 3]])
+        np.testing.assert_allclose(like.records_last().log_density(stress), whole, rtol=ROUNDING)
+
+
+class TestRecords:
+    def series(self, n_records=3, scan=SCAN):
+        return brs.simulate(scan, FLOW, wind_speed=10.0, n_records=n_records, seed=8)
+
+    def test_correlations_are_those_of_an_obvious_loop(self):
+        series = self.series()
+        records = brs.make_records(series, SCAN, correlations=True)
+        assert json.loads(records.attrs["correlated_beams"]) == SCAN.beam.tolist()
+        time, beam = series["time"].values, series["beam"].values
+        start = records["time"].values
+        for record in range(3):
+            inside = (time >= start[record]) & (time < start[record] + np.timedelta64(600, "s"))
+            own = {b: series["radial_velocity"].values[inside & (beam == b)] for b in SCAN.beam.tolist()}
+            pairs = [(a, b) for i, a in enumerate(SCAN.beam.tolist()) for b in SCAN.beam.tolist()[i + 1 :]]
+            expected = [np.corrcoef(own[a], own[b])[0, 1] for a, b in pairs]
+            np.testing.assert_allclose(records["beam_correlation"].values[record], expected, rtol=1e-9)
+
+    def test_a_gap_of_one_beam_takes_the_partners_out(self):
+        series = self.series(1)
+        gone = (series["beam"].values == 2) & (np.arange(series.sizes["sample"]) % 5 == 0)
+        kept = series.isel(sample=~gone)
+        records = brs.make_records(kept, SCAN, correlations=True)
+        velocity = {b: kept["radial_velocity"].values[kept["beam"].values == b] for b in (0, 2)}
+        at = {b: kept["time"].values[kept["beam"].values == b].astype(np.int64) for b in (0, 2)}
+        wait = round((SCAN.beam_time[2] - SCAN.beam_time[0]) * 1e9)
+        partner = [int(np.argmin(np.abs(at[0] + wait - moment))) for moment in at[2]]
+        expected = np.corrcoef(velocity[0][partner], velocity[2])[0, 1]
+        column = pair_columns(np.array([0, 2]), SCAN.beam)[0]
+        assert records["beam_correlation"].values[0, column] == pytest.approx(expected, rel=1e-9)
+
+    def test_a_pair_with_too_few_samples_has_none(self):
+        series = self.series(1)
+        some = (series["beam"].values != 3) | (np.arange(series.sizes["sample"]) < 600)
+        found = brs.make_records(series.isel(sample=some), SCAN, correlations=True)["beam_correlation"].values[0]
+        columns = pair_columns(np.array([3, 0, 1, 2, 4, 5]), SCAN.beam)[:5]
+        assert np.isnan(found[columns]).all()
+        assert np.isfinite(np.delete(found, columns)).all()
+
+    def test_pieces_of_a_series_give_the_same(self):
+        series = self.series()
+        chunks = [series.isel(sample=slice(first, first + 1700)) for first in range(0, series.sizes["sample"], 1700)]
+        whole = brs.make_records(series, SCAN, correlations=True)
+        pieces = brs.records.stream_records(iter(chunks), SCAN, correlations=True)
+        np.testing.assert_array_equal(pieces["beam_correlation"].values, whole["beam_correlation"].values)
+        assert pieces.attrs["correlated_beams"] == whole.attrs["correlated_beams"]
+
+    def test_of_many_beams_some_that_lie_far_apart_are_chosen(self):
+        scan = brs.load_scan("50-beam")
+        numbers = correlated_beams(scan)
+        assert len(numbers) == MOST_BEAMS
+        place = scan.select(numbers).line_of_sight
+        apart = np.linalg.norm(place[:, None] - place, axis=-1) + 10.0 * np.eye(MOST_BEAMS)
+        even = np.linalg.norm(scan.line_of_sight[0] - scan.line_of_sight[50 // MOST_BEAMS])
+        assert apart.min() > 0.6 * even
+
+
+@pytest.fixture(scope="module")
+def both():
+    """A fit of 60 records by their covariances, at 15 degrees, and the truth."""
+    scan = brs.load_scan("6-beam@opening_angle_deg=15")
+    series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=60, seed=9)
+    records = brs.make_records(series, scan, correlations=True)
+    fit = brs.fit(records, scan, seed=1, information="covariances", campaign="off")
+    return scan, records, fit
+
+
+def widths(fit, information):
+    table = fit.summary(information=information)
+    return np.median((table["high"] - table["low"]).to_numpy().reshape(-1, 6), axis=0)
+
+
+class TestFit:
+    def test_intervals_are_narrower_and_hold_the_truth(self, both):
+        scan, _, fit = both
+        ratio = widths(fit, "covariances") / widths(fit, "variances")
+        assert np.all(ratio < 1.0)
+        assert 0.35 < ratio[3] < 0.8  # uv, as was foretold
+        assert 0.65 < ratio[4] < 0.9  # uw
+        truth = covariance_moments(Views.of_scan(scan, 0.0), FLOW, wind_speed=10.0, n_sample=600).record
+        table = fit.summary()
+        low, high = (table[name].to_numpy().reshape(-1, 6) for name in ("low", "high"))
+        holds = ((low <= truth) & (truth <= high)).mean(axis=0)
+        # 60 records: 0.9 less four standard errors of 0.039
+        assert np.all(holds > 0.74)
+
+    def test_the_variances_alone_are_those_of_a_fit_by_variances(self, both):
+        scan, records, _ = both
+        some = records.isel(record=[0, 1])
+        alone = brs.fit(some, scan, seed=1, campaign="off", noise=brs.noise.theory(scan, FLOW, wind_speed=10.0))
+        both_ways = brs.fit(
+            some, scan, seed=1, campaign="off", information="covariances",
+            noise=brs.noise.theory(scan, FLOW, wind_speed=10.0),
+        )  # fmt: skip
+        pd.testing.assert_frame_equal(both_ways.summary(information="variances"), alone.summary())
+        assert not both_ways.summary().equals(alone.summary())
+
+    def test_in_the_model_s_own_air_the_coherence_is_not_doubted(self, both):
+        _, _, fit = both
+        found = fit.coherence()
+        assert found.n_record == 60
+        assert 0.6 < found.misfit < 1.1
+        assert not found.doubted
+        assert "do not speak against" in found.in_words()
+
+    def test_beams_that_go_together_as_no_coherence_has_it_are_told(self, both):
+        """Correlations of independent beams: what a broken clock, or air without eddies, would give."""
+        scan, records, _ = both
+        some = records.isel(record=slice(0, 12)).copy()
+        some["beam_correlation"] = some["beam_correlation"] * 0.2
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off")
+        assert fit.coherence().doubted
+        assert "speak against the model's coherence" in fit.headline().doubtful
+
+    def test_a_folder_holds_both(self, both, tmp_path):
+        scan, records, _ = both
+        written = brs.fit(
+            records.isel(record=[0, 1, 2]), scan, seed=1, information="covariances", campaign="off",
+            output=tmp_path / "fit",
+        )  # fmt: skip
+        again = brs.open_fit(tmp_path / "fit")
+        for information in ("variances", "covariances"):
+            pd.testing.assert_frame_equal(
+                again.summary(information=information), written.summary(information=information)
+            )
+        assert again.coherence() == written.coherence()
+
+    def test_a_record_has_the_same_numbers_in_any_company(self, both):
+        scan, records, _ = both
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        options = {"seed": 1, "information": "covariances", "campaign": "off", "noise": noise, "scatter": "theory"}
+        one = brs.fit(records.isel(record=[3]), scan, **options).summary()
+        three = brs.fit(records.isel(record=[2, 3, 4]), scan, **options).summary(records=1)
+        columns = ["mean", "low", "high"]
+        pd.testing.assert_frame_equal(one[columns], three[columns])
+
+    def test_a_campaign_learns_from_the_covariances(self, both):
+        scan, records, _ = both
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        some = records.isel(record=slice(0, 32))
+        fit = brs.fit(some, scan, seed=1, information="covariances", noise=noise, campaign="on")
+        table = fit.campaign()
+        assert set(brs.STRESSES) <= set(table["quantity"])
+
+    def test_a_missing_beam_takes_its_pairs_out(self, both):
+        scan, records, _ = both
+        some = records.isel(record=[0, 1], beam=[0, 1, 3, 4, 5])
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
+        assert fit.n_fitted == 2
+        assert fit.table("posterior")["n_pair"].tolist() == [10.0, 10.0]
+
+    def test_two_ranges_tell_more_than_one(self):
+        ratio = {}
+        for name in ("4-beam@focus_distance=100", "4-beam@focus_distance=80+120"):
+            scan = brs.load_scan(name)
+            series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=20, seed=10)
+            records = brs.make_records(series, scan, correlations=True)
+            noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+            fit = brs.fit(records, scan, seed=1, information="covariances", campaign="off", noise=noise)
+            ratio[name] = widths(fit, "covariances") / widths(fit, "variances")
+        one, two = ratio.values()
+        assert np.all(two[[0, 2, 3, 4, 5]] < one[[0, 2, 3, 4, 5]])
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            ({"target": "sonic"}, "Invalid target 'sonic' with information 'covariances'"),
+            ({"coherence_log_sd": -0.1}, "Invalid coherence_log_sd"),
+            ({"mast_log_sd": -0.1}, "Invalid mast_log_sd"),
+            ({"information": "means"}, "information"),
+        ],
+    )
+    def test_what_does_not_go_together_is_refused(self, options, words):
+        with pytest.raises(InputError, match=words):
+            brs.FitOptions(**{"information": "covariances", **options})
+
+    def test_records_without_correlations_are_refused(self, both):
+        scan, records, _ = both
+        with pytest.raises(InputError, match="make them with correlations=True"):
+            brs.fit(records.drop_vars("beam_correlation"), scan, seed=1, information="covariances")
+
+    def test_a_fit_by_variances_has_no_coherence(self, both):
+        scan, records, _ = both
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(records.isel(record=[0]), scan, seed=1, campaign="off", noise=noise)
+        with pytest.raises(InputError, match="information='covariances'"):
+            fit.coherence()
+        with pytest.raises(InputError, match="used variances alone"):
+            fit.summary(information="covariances")
+
+    def test_settings_have_the_correlations_made(self):
+        assert brs.Settings().changed(information="covariances").records.correlations
+
+
+def mast_table(records, stress):
+    return pd.DataFrame({"time": records["time"].values, **dict(zip(brs.STRESSES, np.transpose(stress), strict=True))})
+
+
+class TestMast:
+    def records(self, n_records=20):
+        scan = brs.load_scan("4-beam@opening_angle_deg=15")
+        series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=n_records, seed=12)
+        return scan, brs.make_records(series, scan)
+
+    def test_its_data_scatter_as_a_sonic_s_of_the_package(self):
+        """The covariance of ln uu, ln vv, ln ww is that of `sonic_moments`, to first order."""
+        views = Views.of_scan(SCAN, 0.0).with_mast(np.array([-50.0, 0.0, 0.0]))
+        found = covariance_moments(views, FLOW, wind_speed=10.0, n_sample=N_SAMPLE)
+        own = slice(SCAN.n_beam, SCAN.n_beam + 3)
+        sonic = brs.noise.sonic_moments(SCAN, FLOW, wind_speed=10.0, position=(-50.0, 0.0, 0.0))
+        relative = sonic.covariance[:3, :3] / np.outer(sonic.mean[:3], sonic.mean[:3])
+        np.testing.assert_allclose(np.diag(found.covariance[own, own]), np.log1p(np.diag(relative)), rtol=0.02)
+        across = found.covariance[: SCAN.n_beam, own]
+        expected = brs.noise.theory(SCAN, FLOW, wind_speed=10.0)
+        mean = expected.gain[0] @ FLOW.stresses() * (1.0 + expected.bias[0])
+        np.testing.assert_allclose(
+            across, sonic.cross_covariance[:, :3] / np.outer(mean, sonic.mean[:3]), rtol=0.06, atol=5e-4
+        )
+
+    def test_a_sonic_decides_what_the_beams_do_not_see(self):
+        scan, records = self.records()
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        truth = moments_of(scan).record
+        beside = brs.wind.with_mast(records, mast_table(records, np.tile(truth, (20, 1))), position=(-98, 0, 0))
+        alone, both = (brs.fit(one, scan, seed=1, noise=noise, campaign="off") for one in (records, beside))
+        ratio = widths(both, None) / widths(alone, None)
+        assert ratio[1] < 0.5
+        assert ratio[2] < 0.5
+        table = both.summary()
+        means = table["mean"].to_numpy().reshape(-1, 6).mean(axis=0)
+        # the mast says the truth in each record, and its scatter is 0.15 of vv and 0.1 of ww
+        np.testing.assert_allclose(means[1:3], truth[1:3], rtol=0.1)
+
+    def test_a_cup_beside_tells_uu_alone(self):
+        scan, records = self.records(3)
+        cup = pd.DataFrame({"time": records["time"].values, "uu": 1.2})
+        beside = brs.wind.with_mast(records, cup, position=(-98, 0, 0))
+        assert np.isnan(beside["mast_stress"].values[:, 1:]).all()
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        assert brs.fit(beside, scan, seed=1, noise=noise, campaign="off").n_fitted == 3
+
+    def test_records_without_a_row_have_none(self):
+        _, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1))).iloc[[2]]
+        found = brs.wind.with_mast(records, table, position=(0, 0, 0))
+        assert np.isnan(found["mast_stress"].values[:2]).all()
+        np.testing.assert_allclose(found["mast_stress"].values[2], FLOW.stresses())
+
+    def test_a_sonic_s_dataset_is_taken(self):
+        _, records = self.records(2)
+        stress = xr.Dataset(
+            {"stress": (("record", "component"), np.tile(FLOW.stresses(), (2, 1)))},
+            coords={"time": ("record", records["time"].values), "component": list(brs.STRESSES)},
+        )
+        found = brs.wind.with_mast(records, stress, position=(0, 0, 0))
+        np.testing.assert_allclose(found["mast_stress"].values, np.tile(FLOW.stresses(), (2, 1)))
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"uu": -1.0}, "a variance is above zero"),
+            ({"uw": 9.0}, "beyond the root of uu times ww"),
+        ],
+    )
+    def test_what_no_wind_has_is_refused(self, change, words):
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1))).assign(**change)
+        with pytest.raises(InputError, match=words):
+            brs.wind.with_mast(records, table, position=(0, 0, 0))
+
+    def test_a_table_without_variances_is_refused(self):
+        _, records = self.records(2)
+        with pytest.raises(InputError, match="needs time and at least uu"):
+            brs.wind.with_mast(records, pd.DataFrame({"time": records["time"].values, "ti": 0.1}), position=(0, 0, 0))
+
+    def test_an_uncertain_direction_is_refused(self):
+        scan, records = self.records(2)
+        beside = brs.wind.with_mast(records, mast_table(records, np.tile(FLOW.stresses(), (2, 1))), position=(0, 0, 0))
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        with pytest.raises(InputError, match="with a mast beside the beams"):
+            brs.fit(beside, scan, seed=1, noise=noise, nuisances=brs.Nuisances(yaw_sd_deg=2.0))
