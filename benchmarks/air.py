@@ -130,6 +130,53 @@ class MannAir:
 
 
 @dataclass(frozen=True)
+class OtherCoherence(MannAir):
+    """Air whose eddies reach otherwise than Mann's: v and w of a third of the length, vv doubled in large eddies, or
+    large horizontal eddies beside.
+
+    Parameters
+    ----------
+    across : float
+        Length scale of v and w over that of u.
+    slow_v : float
+        By how much large eddies (k₁L well below 1) have more vv; falls as 1/(1 + (2 k₁L)⁴).
+    flat : (float, float)
+        Variance of u, and of v, m² s⁻², and length scale, m, of two-dimensional eddies, the same at all heights:
+        E(κ) = 4 σ² κ³ L⁴/(1 + (κL)²)³.
+    """
+
+    across: float = 1.0
+    slow_v: float = 0.0
+    flat: tuple[float, float] = (0.0, 500.0)
+
+    def root(self, k1: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return nodes and roots; see `MannAir.root`."""
+        k2, k3, found = super().root(k1)
+        if self.across != 1.0:
+            weight = found / np.where(whole := self.amplitude(k1, k2, k3), whole, 1.0)
+            weight = np.max(np.abs(weight), axis=(1, 2), keepdims=True)
+            shorter = MannAir(self.dissipation, self.across * self.length_scale, self.gamma)
+            found[:, 1:] = (weight * shorter.amplitude(k1, k2, k3))[:, 1:]
+        found[:, 1] *= np.sqrt(1.0 + self.slow_v / (1.0 + (2.0 * k1 * self.length_scale) ** 4))
+        variance, length = self.flat
+        if variance == 0.0:
+            return k2, k3, found
+        side = np.sqrt(k1 * k1 + length**-2.0) * np.geomspace(1e-3, 1e3, 400)
+        along = np.concatenate([-side[::-1], side])
+        width = np.gradient(along)
+        size = np.hypot(k1, along)
+        energy = 4.0 * variance * size**3 * length**4 / (1.0 + (size * length) ** 2) ** 3
+        level = np.sqrt(energy / (np.pi * size) * width) / size
+        more = np.zeros((len(along), 3, 3))
+        more[:, 0, 0], more[:, 1, 0] = -along * level, k1 * level
+        return np.concatenate([k2, along]), np.concatenate([k3, np.zeros(len(along))]), np.concatenate([found, more])
+
+    def smallest(self) -> float:
+        """Return the wave number below which the spectra are taken to be flat, rad/m."""
+        return 0.003 / max(self.length_scale, self.flat[1] if self.flat[0] else 0.0)
+
+
+@dataclass(frozen=True)
 class KaimalAir:
     """Kaimal's spectra of u, v, w with exponential coherence across the wind (IEC 61400-1, Annex C), and a uw.
 

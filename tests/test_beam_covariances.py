@@ -361,6 +361,7 @@ class TestFit:
         scan, records, _ = both
         noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
         options = {"seed": 1, "information": "covariances", "campaign": "off", "noise": noise, "scatter": "theory"}
+        options["instrument_noise"] = 0.0  # records tell each other
         one = brs.fit(records.isel(record=[3]), scan, **options).summary()
         three = brs.fit(records.isel(record=[2, 3, 4]), scan, **options).summary(records=1)
         columns = ["mean", "low", "high"]

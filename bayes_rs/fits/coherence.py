@@ -63,7 +63,8 @@ def coherence_of(fit: FitData) -> Coherence | None:
     fit : FitData
         The fit.
     """
-    if VARIANCES not in fit.source.datasets:
+    own = fit.run.get("settings", {}).get("fit", {})
+    if own.get("information") != "covariances" or VARIANCES not in fit.source.datasets:
         return None
     columns: dict[str, Any] = fit.of_records(PAIRS_MISFIT, N_PAIR)
     known = np.isfinite(columns[PAIRS_MISFIT])
