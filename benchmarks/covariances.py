@@ -2,9 +2,9 @@
 
     python benchmarks/covariances.py [RECORDS]
 
-Records of the second generator (`air.py`) under all defaults, by variances and by covariances: means over the truth, how
-often 90 % intervals hold it, widths over those of the variances, and what the program says of the coherence. The table
-goes to covariances.csv.
+Records of the second generator (`air.py`) under all defaults, by variances and by covariances: means over the truth,
+how often 90 % intervals hold it, widths over those of the variances, and what the program says of the coherence. The
+table goes to covariances.csv.
 """
 
 from __future__ import annotations

@@ -65,6 +65,7 @@ SAMPLES = {
         "min_availability": one("--min-availability", 0.5),
         "expected_count": Sample(480.0),
         "min_count": Sample(20),
+        "correlations": Sample(True, ("--correlations",)),
         "motion": Sample(("/data/a.csv", "/data/b.csv"), ("--motion", "/data/a.csv", "--motion", "/data/b.csv")),
         "motion_columns": Sample(
             {"tilt_deg": "Tilt"}, ("--motion-column", "tilt_deg=Tilt"), {"motion": ("/data/a.csv",)}
@@ -105,6 +106,9 @@ SAMPLES = {
         "target": one("--target", "ensemble"),
         "sampler": one("--sampler", "direct"),
         "likelihood": Sample("mine"),  # a likelihood of the user's own, which the tests register
+        "information": one("--information", "covariances"),
+        "coherence_log_sd": one("--coherence-log-sd", 0.2),
+        "mast_log_sd": one("--mast-log-sd", 0.3),
         "target_ess": one("--ess", 150),
         "max_extension": one("--max-extension", 3),
         "monte_carlo_error": one("--monte-carlo-error", 0.04),

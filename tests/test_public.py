@@ -192,6 +192,7 @@ SUBJECTS = {
         "remove_motion",
         "sonic_stresses",
         "wind_profile",
+        "with_mast",
         "with_motion",
     ],
 }
