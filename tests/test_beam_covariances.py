@@ -513,3 +513,11 @@ class TestMast:
         noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
         with pytest.raises(InputError, match="with a mast beside the beams"):
             brs.fit(beside, scan, seed=1, noise=noise, nuisances=brs.Nuisances(yaw_sd_deg=2.0))
+
+
+class TestReport:
+    def test_the_page_shows_both_and_judges_the_coherence(self, both, tmp_path):
+        _, _, fit = both
+        page = brs.write_report(fit, tmp_path / "report.html").read_text(encoding="utf-8")
+        assert "By covariances and by variances" in page
+        assert "do not speak against the model" in page

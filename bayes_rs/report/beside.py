@@ -39,6 +39,8 @@ class Beside:
         The records of the first and of the second that are of one start, and were fitted in both.
     n_start : int
         Starts that both have.
+    note : str
+        What to say of the two in place of how they were made; empty of two fits.
     """
 
     names: tuple[str, str]
@@ -47,6 +49,7 @@ class Beside:
     rows: NDArray[np.int64]
     other_rows: NDArray[np.int64]
     n_start: int
+    note: str = ""
 
     @property
     def apart(self) -> NDArray[np.bool_]:
@@ -145,7 +148,8 @@ def beside_section(beside: Beside) -> str:
         f"the same time, and {len(beside.rows)} of these were fitted in both."
     )
     made = f"The fits were made with: {_settings(beside.found)}; and {_settings(beside.other)}."
-    said = [counted, made, _apart_words(beside, apart)]
+    told = [beside.note] if beside.note else [counted, made]
+    said = [*told, _apart_words(beside, apart)]
     caption = (
         key("band", f"{one}: {called}")
         + key("band other", f"{other}: {called}")

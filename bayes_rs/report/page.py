@@ -97,7 +97,7 @@ def render(
         ("stresses", "Over time", time_section(found, series, named)),
         ("turbines", "Turbines", turbine_table(found)),
         ("campaign", "Campaign", campaign_section(found.campaign, named) + compared),
-        ("beside", "Two fits beside each other", "" if beside is None else beside_section(beside)),
+        ("beside", _title(beside), "" if beside is None else beside_section(beside)),
         ("record", "One record", record_section(found, timed=timed)),
         ("intensity", "Turbulence intensity", intensity_section(found, data)),
         ("decided", "What the data said", decided_section(found, data)),
@@ -113,6 +113,10 @@ def render(
     return framed(title, head, sections, data, FIT_SCRIPTS, _WITHOUT_SCRIPT)
 
 
+def _title(beside: Beside | None) -> str:
+    return "By covariances and by variances" if beside is not None and beside.note else "Two fits beside each other"
+
+
 def headline(found: Headline) -> str:
     """Return the three lines that the page begins with."""
     items = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(said)}</dd></div>" for name, said in found.rows())
@@ -120,7 +124,9 @@ def headline(found: Headline) -> str:
 
 
 def _lead(found: ReportData) -> str:
-    text = "Bayesian estimate of the six Reynolds stresses from the variances of a Doppler lidar's beams"
+    used = dict(found.run.get("settings", {})).get("fit", {}).get("information", "variances")
+    both = "variances and covariances" if used == "covariances" else "variances"
+    text = f"Bayesian estimate of the six Reynolds stresses from the {both} of a Doppler lidar's beams"
     when = words.period(found)
     text += f", records from {when}" if when else ""
     text += f". Each number with its {interval_words(found.prob, found.interval)}."

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from bayes_rs.errors import InputError
+from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
@@ -16,7 +18,7 @@ from bayes_rs.report.beside import Beside, match_fits
 from bayes_rs.report.page import render
 from bayes_rs.report.ranged_page import render_ranges
 from bayes_rs.report.reference_section import make_reference
-from bayes_rs.report.report_data import ReportData, report_data
+from bayes_rs.report.report_data import NUMBERS, ReportData, report_data
 from bayes_rs.result_folder import list_beside
 
 REPORT_FILE = "report.html"
@@ -49,6 +51,7 @@ def write_report(
         UTC), and ``ti`` (σ_u/U) or ``sigma_u`` and ``U`` (m/s). The page then shows its errors by wind speed.
     beside : Fit, str or Path, optional
         Another fit of the same records, or its folder: the page then shows both, matched by the starts of the records.
+        A fit that uses covariances has what the variances say by themselves beside it.
     overwrite : bool
         Replace an existing file.
 
@@ -97,7 +100,7 @@ def write_report(
         html = partial(_of_ranges, found, None if output is not None else file, title, prob, overwrite=overwrite)
     else:
         data = report_data(found, prob=prob)
-        compared = None if beside is None else _match(found, data, beside, prob)
+        compared = _alone(found, data, prob) if beside is None else _match(found, data, beside, prob)
         measured = None if reference is None else make_reference(data, reference)
         html = partial(render, data, title=title, reference=measured, beside=compared)
     with output_file(file, overwrite=overwrite) as part:
@@ -105,6 +108,20 @@ def write_report(
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it
     return file
+
+
+def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
+    """Return what the variances say by themselves beside a fit that uses covariances, if there is any."""
+    if VARIANCES not in fit.source.datasets or prob not in (None, fit.settings["fit"]["prob"]) or not fit.n_fitted:
+        return None
+    found = fit.coherence()
+    words = found.in_words()
+    note = (
+        f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have covariances as unlikely as one "
+        "in a hundred."
+    )
+    alone = replace(data, numbers=fit.of_stresses(*NUMBERS, dataset=VARIANCES))
+    return replace(match_fits(data, alone, ("covariances", "variances")), note=note)
 
 
 def _match(fit: Fit, data: ReportData, beside: Fit | str | Path, prob: float | None) -> Beside:
