@@ -103,10 +103,8 @@ def campaign(n_record: int) -> None:
             means = table[table["bin"] == "all"].set_index("quantity")
             found: dict[str, object] = {"air": name, "scan": scan_name, "n_record": n_record, "information": which}
             for stress, of in zip(brs.STRESSES[:3], true, strict=False):
-                found |= {
-                    f"{column}_{stress}": round(float(means[column][stress]) / of, 3)
-                    for column in ("mean", "low", "high")
-                }
+                for column in ("mean", "low", "high"):
+                    found[f"{column}_{stress}"] = round(float(means[column][stress]) / of, 3)
                 found[f"decided_{stress}"] = round(float(means["decided"][stress]), 3)
             rows.append(found | {"fit_seconds": round(time.process_time() - began, 1)})
             print(rows[-1], flush=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.geometry.probe import Probe
+from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES, pack_stress
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
@@ -77,6 +77,10 @@ class Views:
             length=np.concatenate([self.length, np.zeros(3)]),
         )
 
+    def as_points(self) -> Views:
+        """Return the same without probe volumes."""
+        return replace(self, length=np.zeros(len(self)), probe=PointProbe())
+
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.direction)
@@ -100,7 +104,7 @@ class CovarianceMoments(NamedTuple):
         By how much the mean of ln y differs from ln E[y], and that of z from the artanh of the expected covariance over
         the root of the expected variances.
     slope : ndarray, shape (n_datum, 3)
-        By how much the means of the data change with the logarithms of `COHERENCE`, for the same stresses.
+        By how much the means of the data change with the logarithms of `COHERENCE`, for the same stresses; of points.
     """
 
     tensor: FloatArray
@@ -183,6 +187,8 @@ def covariance_moments(
     tensor = lines @ setting.nodes.trace / n_sample
     record = setting.at_a_point(turbulence)
     slope = np.empty((len(tensor), len(COHERENCE)))
+    # a probe volume changes the data themselves, but hardly by how much they change with a scale
+    setting = _Setting(views.as_points(), wind_speed, n_sample, tolerance)
     for column, across in enumerate((None, (1.0, 0.0), (0.0, 1.0))):
         ends = []
         for sign in (-1.0, 1.0):
