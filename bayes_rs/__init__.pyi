@@ -31,6 +31,7 @@ from .fits.inflow_comparison import compare_inflow as compare_inflow
 from .fits.prior_check import prior_sensitivity as prior_sensitivity
 from .fits.ranged_fit import RangedFit as RangedFit
 from .fits.settings import Settings as Settings
+from .fits.stream import Stream as Stream
 from .geometry.scan import Scan as Scan
 from .geometry.scan_file import load_scan as load_scan
 from .geometry.scan_writing import save_scan as save_scan

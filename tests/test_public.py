@@ -28,6 +28,7 @@ PUBLIC = [
     "STRESSES",
     "Scan",
     "Settings",
+    "Stream",
     "WorkerError",
     "__version__",
     "campaign",

@@ -215,6 +215,7 @@ def join_blocks(
     state: StreamState,
     scan: Scan,
     *,
+    beams: IntArray | None = None,
     quality: QualityRules | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -226,6 +227,8 @@ def join_blocks(
         What `add_chunk` returned, in that order.
     state : StreamState
         After the last chunk.
+    beams : ndarray of int, optional
+        Beams that came before, of records that are no longer there.
     scan, quality, options
         As for `stream_records`.
 
@@ -248,7 +251,8 @@ def join_blocks(
         raise InputError("Invalid series: it holds no sample; give files with samples.")
     chosen = record_options(options)
     window = chosen.window
-    present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
+    known = [] if beams is None else [beams]
+    present = np.unique(np.concatenate([*known, *(block["beam"].values for block in blocks)]))
     beams = scan.beam[np.isin(scan.beam, present)]
     windows = windows_of(blocks, window, len(beams))
     empty = empty_record(
