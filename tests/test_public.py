@@ -37,6 +37,7 @@ PUBLIC = [
     "demo_file",
     "design",
     "estimate",
+    "export_boxes",
     "find_scan",
     "fit",
     "fit_files",
@@ -58,6 +59,7 @@ PUBLIC = [
     "records",
     "save_scan",
     "simulate",
+    "simulation",
     "spectra",
     "turbulence",
     "wind",
@@ -171,6 +173,7 @@ SUBJECTS = {
         "store_records",
         "stream_records",
     ],
+    "simulation": ["BoxGrid", "box_stresses", "export_box", "simulate"],
     "spectra": [
         "along_wind_spectra",
         "average_spectra",
