@@ -295,3 +295,9 @@ class TestRefused:
         with pytest.raises(MissingExtraError, match=r'pip install "bayes_rs\[boxes\]"\.'):
             export_box(STRESSES, tmp_path / "box", grid=GRID, wind_speed=SPEED, seed=1)
         assert not (tmp_path / "box").exists()
+
+    def test_what_is_no_box_has_no_stresses(self):
+        with pytest.raises(InputError, match="velocity"):
+            box_stresses(np.zeros((3, 4, 2)))
+        with pytest.raises(InputError, match="target"):
+            box_stresses(np.zeros((3, 4, 2, 2)), target="mean")

@@ -217,7 +217,7 @@ def with_stresses(velocity: NDArray[Any], stresses: ArrayLike, *, target: str = 
 
 
 def box_stresses(velocity: NDArray[Any], *, target: str = "record") -> FloatArray:
-    """Return the stresses that a box has, shape (6,), m² s⁻².
+    """Return the stresses that a box has.
 
     Parameters
     ----------
@@ -227,6 +227,16 @@ def box_stresses(velocity: NDArray[Any], *, target: str = "record") -> FloatArra
         ``"record"`` and ``"sonic"``: covariances along each line of the box along the wind, about its mean, averaged
         over the lines; ``"ensemble"``: about zero.
 
+    Returns
+    -------
+    stresses : ndarray, shape (6,)
+        uu, vv, ww, uv, uw, vw, m² s⁻².
+
+    Raises
+    ------
+    InputError
+        If there are not three components over three directions, or the target is unknown.
+
     Examples
     --------
     >>> u = np.zeros((3, 4, 2, 2))
@@ -234,7 +244,8 @@ def box_stresses(velocity: NDArray[Any], *, target: str = "record") -> FloatArra
     >>> box_stresses(u)[0], box_stresses(u, target="ensemble")[0]
     (np.float64(1.0), np.float64(2.0))
     """
-    wide = np.asarray(velocity, dtype=np.float64)
+    check_choice(target, TARGETS, what="target")
+    wide = check_array(velocity, (3, None, None, None), what="velocity")
     if target != "ensemble":
         wide = wide - wide.mean(axis=1, keepdims=True)
     flat = wide.reshape(3, -1)
