@@ -17,6 +17,7 @@ from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.layout import REPORT
+from bayes_rs.records.making import empty_record
 from bayes_rs.records.record_options import record_options
 from bayes_rs.records.stream import StreamState, add_chunk, join_blocks
 
@@ -93,6 +94,7 @@ class ClosingRecords:
         self._window = record_options(options).window
         self._every = self._window if every is None else _step(every, self._window)
         self._lanes = [_Lane(offset) for offset in range(0, self._window, self._every)]
+        self._empty: dict[str, xr.Dataset] = {}
         self._closed = False
 
     def add(self, chunk: xr.Dataset) -> list[xr.Dataset]:
@@ -188,7 +190,12 @@ class ClosingRecords:
             return []
         samples = sum(json.loads(block.attrs[REPORT])["samples"] for block in lane.blocks) + len(rest.time)
         joined = join_blocks(
-            list(lane.blocks), replace(rest, samples=samples), self.scan, beams=lane.beams, **self._made
+            list(lane.blocks),
+            replace(rest, samples=samples),
+            self.scan,
+            beams=lane.beams,
+            empty=self._empty_like(rest),
+            **self._made,
         )
         number = _numbers(joined, self._window)
         joined = _moved(joined, lane.offset)
@@ -196,6 +203,15 @@ class ClosingRecords:
             joined.isel(record=(number >= number[row] - self.before) & (number <= number[row]))
             for row in np.flatnonzero((number >= begin) & (number < final))
         ]
+
+    def _empty_like(self, state: StreamState) -> xr.Dataset:
+        """Return a record without a sample of a series: made once, unless its columns or attributes change."""
+        kinds = {name: values.dtype.str for name, values in state.columns.items()}
+        key = f"{sorted(kinds.items())} {sorted(state.attributes.items())}"
+        if key not in self._empty:
+            some_beam = int(self.scan.beam[0])
+            self._empty = {key: empty_record(state.columns, state.attributes, some_beam, self.scan, **self._made)}
+        return self._empty[key]
 
 
 def _step(every: float, window: int) -> int:

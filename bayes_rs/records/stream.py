@@ -216,6 +216,7 @@ def join_blocks(
     scan: Scan,
     *,
     beams: IntArray | None = None,
+    empty: xr.Dataset | None = None,
     quality: QualityRules | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -229,6 +230,8 @@ def join_blocks(
         After the last chunk.
     beams : ndarray of int, optional
         Beams that came before, of records that are no longer there.
+    empty : Dataset, optional
+        What `empty_record` says of such a series, if it is known.
     scan, quality, options
         As for `stream_records`.
 
@@ -255,9 +258,9 @@ def join_blocks(
     present = np.unique(np.concatenate([*known, *(block["beam"].values for block in blocks)]))
     beams = scan.beam[np.isin(scan.beam, present)]
     windows = windows_of(blocks, window, len(beams))
-    empty = empty_record(
-        state.columns, state.attributes, int(blocks[0]["beam"].values[0]), scan, quality=quality, **options
-    )
+    if empty is None:
+        some_beam = int(blocks[0]["beam"].values[0])
+        empty = empty_record(state.columns, state.attributes, some_beam, scan, quality=quality, **options)
     _check_same(blocks, empty)
     records = on_grid(blocks, empty, windows=windows, beams=beams, window=window)
     # a block does not know of a beam that it lacks and others have: the wind is found again, to the last bit
