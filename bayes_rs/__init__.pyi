@@ -7,6 +7,7 @@ from . import priors as priors
 from . import quality as quality
 from . import readers as readers
 from . import records as records
+from . import simulation as simulation
 from . import spectra as spectra
 from . import turbulence as turbulence
 from . import wind as wind
@@ -28,9 +29,11 @@ from .fits.fitting import fit as fit
 from .fits.from_files import fit_files as fit_files
 from .fits.gradient_sight import inflow_confounding as inflow_confounding
 from .fits.inflow_comparison import compare_inflow as compare_inflow
+from .fits.load_boxes import export_boxes as export_boxes
 from .fits.prior_check import prior_sensitivity as prior_sensitivity
 from .fits.ranged_fit import RangedFit as RangedFit
 from .fits.settings import Settings as Settings
+from .fits.stream import Stream as Stream
 from .geometry.scan import Scan as Scan
 from .geometry.scan_file import load_scan as load_scan
 from .geometry.scan_writing import save_scan as save_scan

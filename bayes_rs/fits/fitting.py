@@ -146,7 +146,7 @@ def fit(
         check_no_noise(given, used)
         job = RangeJob(records, used, own, choice, {"noise": noise_section(choice, None)})
         if output is None:
-            return fit_ranges(job, lambda plan: _in_memory(plan, workers, client, progress), say)
+            return fit_ranges(job, lambda plan: fit_in_memory(plan, workers, client, progress), say)
         parts = job.key_parts
         with begin_result_folder(
             output, key=digest(parts), key_parts=parts, resume=resume, overwrite=overwrite
@@ -160,7 +160,7 @@ def fit(
         found, records = noise_and_records(records, used, given, own, choice, say)
         plan = plan_fit(records, used, found, own, inputs=inputs, in_folder=output is not None)
     if output is None:
-        return _in_memory(with_settings(plan, noise=to_plain(choice)), workers, client, progress)
+        return fit_in_memory(with_settings(plan, noise=to_plain(choice)), workers, client, progress)
     plan = with_settings(plan, noise=noise_section(choice, given))
     with begin_result_folder(
         output, key=plan.key, key_parts=plan.key_parts, resume=resume, overwrite=overwrite
@@ -198,8 +198,8 @@ class _InMemory:
         return log_likelihood_of(self.plan.shared, self.plan.parts, fit)
 
 
-def _in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) -> Fit:
-    """Fit all parts, and join them."""
+def fit_in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) -> Fit:
+    """Fit all parts of a plan, and join them."""
     silent = None if progress is None else not progress
     finished, kinds = [], [processor_kind()]
     with progress_counter(plan.n_record, "fitting", " records", disable=silent) as bar:

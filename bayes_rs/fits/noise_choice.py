@@ -25,6 +25,10 @@ from bayes_rs.wind.mean_vector import mean_wind
 
 NET_LENGTHS = (10.0, 320.0)
 """Length scales, m, that noise reaches over for records whose own is uncertain; beyond, it is that of the ends."""
+LATER_SPEEDS = (3.0, 25.0)
+"""Wind speeds, m/s, that noise is made for before it is known which wind its records have."""
+LATER_TURN = 20.0
+"""The same for directions: degrees to both sides of the one that is known."""
 OWN_TOLERANCE = 0.02
 """Largest relative error of K in a net over the length scales of records: it moves intervals by 1 %."""
 LEAVE_OUT_LEVEL = 0.01
@@ -174,7 +178,15 @@ def _needs_own_lengths(records: xr.Dataset, noise: Noise | None, options: FitOpt
     return noise is None or len(np.unique(noise.length_scale)) > 1
 
 
-def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say) -> Noise:
+def _made_noise(
+    records: xr.Dataset,
+    scan: Scan,
+    options: FitOptions,
+    choice: NoiseOptions,
+    say: Say,
+    *,
+    own_lengths: bool = False,
+) -> Noise:
     from bayes_rs.noise.calibrating import calibrate  # noqa: PLC0415 - not needed with a file
 
     noise = calibrate(
@@ -183,7 +195,7 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
         records=records,
         sonic=options.target == "sonic",
         length_scale=_length_scales(records, options.nuisances),
-        tolerance=OWN_TOLERANCE if LENGTH_REPORT in records.attrs else None,
+        tolerance=OWN_TOLERANCE if own_lengths or LENGTH_REPORT in records.attrs else None,
     )
     say(
         noise.in_words(
@@ -194,6 +206,29 @@ def _made_noise(records: xr.Dataset, scan: Scan, options: FitOptions, choice: No
         )
     )
     return noise
+
+
+def noise_for_later(
+    records: xr.Dataset, scan: Scan, options: FitOptions, choice: NoiseOptions, say: Say
+) -> Noise | None:
+    """Return noise for the records that follow the last of some; None if that one has no wind.
+
+    It is made for `LATER_SPEEDS`, for directions that differ by up to `LATER_TURN` from that of the record, and, where
+    the length scale is the records' own, for `NET_LENGTHS`.
+    """
+    speed, yaw = (float(records[name].values[-1]) for name in ("wind_speed", "yaw"))
+    if not (np.isfinite(speed) and np.isfinite(yaw) and speed > 0.0):
+        return None
+    ends = records.isel(record=[-1, -1, -1]).drop_vars(_OF_SPECTRA, errors="ignore")
+    ends = ends.assign(
+        wind_speed=("record", np.array([min(LATER_SPEEDS[0], speed), speed, max(LATER_SPEEDS[1], speed)])),
+        yaw=("record", yaw + LATER_TURN * np.array([-1.0, 0.0, 1.0])),
+    )
+    own_lengths = choice.of_records and options.nuisances.length_scale is None
+    if own_lengths:
+        middle = float(np.sqrt(NET_LENGTHS[0] * NET_LENGTHS[1]))
+        ends = ends.assign(length_scale=("record", np.array([NET_LENGTHS[0], middle, NET_LENGTHS[1]])))
+    return _made_noise(ends, scan, options, choice, say, own_lengths=own_lengths)
 
 
 def about_probe(noise: Noise, records: xr.Dataset) -> str:

@@ -6,6 +6,7 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -103,11 +104,13 @@ def plan_fit(
     *,
     inputs: Mapping[str, Any],
     in_folder: bool = False,
+    like: Plan | None = None,
 ) -> Plan:
     """Check that records, scan and noise belong together, and cut the records into parts.
 
     `inputs` is what the records and the noise were made of, by name: it tells the fit from others. Draws that go to a
-    folder are not in memory together.
+    folder are not in memory together. Of a plan that is `like` this one, of the same options and beams, the numbers of
+    the prior are taken: they are not made anew.
 
     Raises
     ------
@@ -129,16 +132,22 @@ def plan_fit(
         **option_parts(options),
     )
     prior = options.made_prior
-    prior_draws = prior.draw(N_PRIOR_DRAW, PRIOR_SEED)
     weight, vectors = scan_directions(scan)
     level = design_matrix(scan.at_yaw(0.0))
+    if like is not None and like.shared.options is options and like.scan.key == scan.key:
+        prior_draws, widths = like.prior_draws, like.run["prior_widths"]
+        room, covariances = like.shared.room, like.shared.prior_covariances
+    else:
+        prior_draws = prior.draw(N_PRIOR_DRAW, PRIOR_SEED)
+        widths = [float(width) for width in prior.interval_widths(options.prob, options.interval)]
+        room, covariances = PriorRoom.of(prior_draws, leading_variance(level)), prior_covariances(prior_draws)
     shared = Shared(
         noise=noise,
         options=options,
-        room=PriorRoom.of(prior_draws, leading_variance(level)),
+        room=room,
         level=level,
         vectors=vectors,
-        prior_covariances=prior_covariances(prior_draws),
+        prior_covariances=covariances,
         keep_draws=options.keeps_draws(len(batch)),
         beam=scan.beam,
     )
@@ -154,7 +163,7 @@ def plan_fit(
         "probe_volume": about_probe(noise, records),
         "prior": prior.in_words(),
         "prior_name": prior.name,
-        "prior_widths": [float(width) for width in prior.interval_widths(options.prob, options.interval)],
+        "prior_widths": widths,
         "length_scale": json.loads(records.attrs.get("length_scale_report", "null")),
         "instrument_noise": json.loads(records.attrs.get("instrument_noise_report", "null")),
         "nuisances": options.nuisances.in_words(),
@@ -168,6 +177,22 @@ def plan_fit(
         "beams": beams.numbers,
     }
     return Plan(key_parts, shared, parts, prior_draws, scan, records, run)
+
+
+def of_last_record(plan: Plan) -> Plan:
+    """Return the plan of the last record alone, as it was prepared among the others."""
+    part, last = plan.parts[-1], slice(-1, None)
+    one = Part(
+        0,
+        part.batch.take(last),
+        np.zeros(1, dtype=part.record.dtype),
+        part.time[last],
+        part.flag[last],
+        {name: values[last] for name, values in part.known.items()},
+    )
+    shared = replace(plan.shared, keep_draws=plan.shared.options.keeps_draws(1))
+    run = {**plan.run, "n_record": 1}
+    return replace(plan, shared=shared, parts=[one], records=plan.records.isel(record=last), run=run)
 
 
 def part_size(n_record: int, options: FitOptions) -> int:
@@ -219,7 +244,12 @@ def option_parts(options: FitOptions) -> dict[str, Any]:
 
 def number_versions() -> dict[str, str]:
     """Return the versions of the packages whose numbers are in the results."""
-    return {name: version(name) for name in _NUMBERS_FROM}
+    return {name: _version_of(name) for name in _NUMBERS_FROM}
+
+
+@cache
+def _version_of(package: str) -> str:
+    return version(package)  # looked up in the package's files
 
 
 def software() -> dict[str, Any]:
@@ -227,7 +257,7 @@ def software() -> dict[str, Any]:
     return {
         "bayes_rs": __version__,
         "python": platform.python_version(),
-        "packages": {**number_versions(), "xarray": version("xarray"), "pandas": version("pandas")},
+        "packages": {**number_versions(), "xarray": _version_of("xarray"), "pandas": _version_of("pandas")},
     }
 
 

@@ -51,7 +51,7 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
     scan = _checked_scan(records, scan)
     noise = noise.select(scan.beam)
     noise.check_scan(scan)
-    _check_duration(records, noise)
+    check_duration(float(records.attrs.get("duration", noise.duration)), noise)
     uncertain = options.nuisances
     own_noise = own_noise_sd = common_sd = None
     if isinstance(options.instrument_noise, str):
@@ -211,8 +211,14 @@ def _own_length_log_sd(records: xr.Dataset) -> FloatArray:
     return np.where(np.isfinite(own) & (own > 0.0), own, 0.0)
 
 
-def _check_duration(records: xr.Dataset, noise: Noise) -> None:
-    duration = float(records.attrs.get("duration", noise.duration))
+def check_duration(duration: float, noise: Noise) -> None:
+    """Check that records of a duration, s, can be fitted with a noise.
+
+    Raises
+    ------
+    InputError
+        If the noise is for records of another one.
+    """
     if not np.isclose(duration, noise.duration):
         raise InputError(
             f"The records last {duration:g} s and the noise is for records of {noise.duration:g} s: "

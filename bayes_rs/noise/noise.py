@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -364,6 +365,8 @@ class Noise:
                     f"Unknown beam {number} in the noise of scan {self.scan_name!r}: "
                     f"its beams are {self.beam.tolist()}."
                 )
+        if np.array_equal(wanted, self.beam):
+            return self
         index = np.array([int(np.flatnonzero(self.beam == number)[0]) for number in wanted])
         per_beam = ("beam", "direction", "focus_distance", "beam_time")
         geometry = {key: [self.scan_geometry[key][i] for i in index] for key in per_beam}
@@ -561,6 +564,10 @@ class Noise:
 
     def probe_change(self) -> FloatArray:
         """Return what the probe volume adds to the design matrix, shape (n_state, n_beam, 6); zero for points."""
+        return self._probe_change
+
+    @cached_property
+    def _probe_change(self) -> FloatArray:
         direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
         return np.stack(
             [gain - design_matrix(direction @ yaw_matrix(yaw)) for gain, yaw in zip(self.gain, self.yaw, strict=True)]

@@ -215,6 +215,8 @@ def join_blocks(
     state: StreamState,
     scan: Scan,
     *,
+    beams: IntArray | None = None,
+    empty: xr.Dataset | None = None,
     quality: QualityRules | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -226,6 +228,10 @@ def join_blocks(
         What `add_chunk` returned, in that order.
     state : StreamState
         After the last chunk.
+    beams : ndarray of int, optional
+        Beams that came before, of records that are no longer there.
+    empty : Dataset, optional
+        What `empty_record` says of such a series, if it is known.
     scan, quality, options
         As for `stream_records`.
 
@@ -248,12 +254,13 @@ def join_blocks(
         raise InputError("Invalid series: it holds no sample; give files with samples.")
     chosen = record_options(options)
     window = chosen.window
-    present = np.unique(np.concatenate([block["beam"].values for block in blocks]))
+    known = [] if beams is None else [beams]
+    present = np.unique(np.concatenate([*known, *(block["beam"].values for block in blocks)]))
     beams = scan.beam[np.isin(scan.beam, present)]
     windows = windows_of(blocks, window, len(beams))
-    empty = empty_record(
-        state.columns, state.attributes, int(blocks[0]["beam"].values[0]), scan, quality=quality, **options
-    )
+    if empty is None:
+        some_beam = int(blocks[0]["beam"].values[0])
+        empty = empty_record(state.columns, state.attributes, some_beam, scan, quality=quality, **options)
     _check_same(blocks, empty)
     records = on_grid(blocks, empty, windows=windows, beams=beams, window=window)
     # a block does not know of a beam that it lacks and others have: the wind is found again, to the last bit

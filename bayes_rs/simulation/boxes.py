@@ -362,12 +362,23 @@ def generator_name() -> str:
     return f"hipersim {version('hipersim')}"
 
 
-def _hipersim() -> Any:
+def hipersim_for(instead: str) -> Any:
+    """Return the package hipersim; `instead` is what the error says to do without it.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
     try:
         import hipersim  # noqa: PLC0415 - an optional package, half a second to import
     except ImportError as error:
         raise MissingExtraError(
             "Boxes of Mann turbulence need the package hipersim, which is not installed: "
-            'run pip install "bayes_rs[boxes]", or use method="theory".'
+            f'run pip install "bayes_rs[boxes]"{instead}.'
         ) from error
     return hipersim
+
+
+def _hipersim() -> Any:
+    return hipersim_for(', or use method="theory"')

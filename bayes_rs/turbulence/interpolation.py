@@ -178,8 +178,8 @@ def combine(weights: FloatArray, values: FloatArray) -> FloatArray:
         Σ_s weights[:, s] · values[s].
     """
     combined = np.zeros((len(weights), *values.shape[1:]))
-    for state, value in enumerate(values):
-        rows = np.flatnonzero(weights[:, state])
+    for state in np.flatnonzero(weights.any(axis=0)):
+        rows, value = np.flatnonzero(weights[:, state]), values[state]
         combined[rows] += weights[rows, state].reshape(-1, *(1,) * value.ndim) * value
     return combined
 

@@ -1,0 +1,205 @@
+"""Fits of records one by one, as they close: of radial velocities that come in pieces, while they are measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from bayes_rs._validation import check_count
+from bayes_rs.errors import InputError, in_short
+from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_options import FitOptions
+from bayes_rs.fits.fitting import fit_in_memory, noise_section
+from bayes_rs.fits.noise_choice import noise_and_records, noise_for_later, with_median_length_scale
+from bayes_rs.fits.plan import Plan, of_last_record, plan_fit, with_settings
+from bayes_rs.fits.prepare import check_duration
+from bayes_rs.fits.settings import Settings
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.noise.given import given_noise
+from bayes_rs.noise.noise import Noise
+from bayes_rs.options import to_plain
+from bayes_rs.processor import one_thread
+from bayes_rs.records.belief import believed
+from bayes_rs.records.closing import ClosingRecords
+
+MEMORY = 5
+"""Records before each that tell of it, too: with it, an hour of ten-minute records."""
+
+
+class Stream:
+    """Fits each record of radial velocities as it closes, while they come in.
+
+    Parameters
+    ----------
+    scan : Scan, str or Path
+        The scan that measures, or its name or file.
+    settings : Settings, str or Path, optional
+        How records are made and fitted: the sections ``records``, ``quality``, ``noise`` and ``fit`` of settings, or of
+        their file. Files and the folder of results play no part.
+    noise : Noise, str or Path, optional
+        Noise of this scan and record length, or its file. By default it is made once, when the first record with a wind
+        closes, and kept: at least for 3 to 25 m/s, for directions up to 20° to both sides of that record's, and for
+        length scales from 10 to 320 m, or for the one of the turbulence that the settings name. Records beyond are
+        flagged ``outside_noise``.
+    every : float, optional
+        A record begins every so many seconds: a sliding window. By default one begins where the last ended.
+    lateness : float
+        How far, s, a sample may come behind the latest one before it: each record waits so long after its end. A sample
+        that comes later is refused.
+    memory : int
+        So many records in a row before each tell, together with it, of its length scale, its instrument noise and the
+        scatter of its variances, and of beams that disagree. 0: each record by itself.
+    say : callable
+        Takes lines that tell how the noise is made.
+    **options
+        Options of the settings by name, as ``duration=600.0``, ``prior="flat"``, ``seed=2``, ``turbulence="fu-2022"``
+        or ``despike="median"``.
+
+    Raises
+    ------
+    InputError
+        If an option is not valid or asks for what only all records together tell, or the noise is of another scan or
+        duration.
+
+    Notes
+    -----
+    The numbers are those of the batch, bit by bit on processors of one kind:
+    ``fit(make_records(series).isel(record=slice(k - memory, k + 1)), noise=stream.noise, campaign="off")`` gives of its
+    last record what the stream gives of record k. Where nothing is learnt from other records, with noise of one length
+    scale and ``instrument_noise=0.0, scatter="theory", unsteady_level=0.0``, that is also what the fit of all records
+    gives, whatever the memory; only ``beams_disagree`` still looks at them. Draws depend on the seed and on the start
+    of a record, not on how the samples come.
+
+    A stream learns no campaign, since later records would change the earlier ones. The distribution that an earlier
+    campaign has found is a prior: ``prior="campaign:FILE"``. Records of a sliding window overlap, so that those before
+    one are those that lie end to end with it: an overlap would count the same air twice.
+
+    Examples
+    --------
+    >>> import bayes_rs as brs
+    >>> series = brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
+    >>> noise = brs.noise.calibrate("2-beam", wind_speed=10.0)
+    >>> stream = brs.Stream("2-beam", noise=noise, seed=1)
+    >>> for first in range(0, 2400, 800):  # the samples come 800 at a time
+    ...     for record in stream.add(series.isel(sample=slice(first, first + 800))):
+    ...         print(record.records["time"].values[0].astype("datetime64[m]"), len(record.summary()))
+    2000-01-01T00:00 6
+    >>> len(stream.close())
+    1
+    """
+
+    def __init__(
+        self,
+        scan: Scan | str | Path,
+        settings: Settings | str | Path | None = None,
+        *,
+        noise: Noise | str | Path | None = None,
+        every: float | None = None,
+        lateness: float = 0.0,
+        memory: int = MEMORY,
+        say: Callable[[str], None] = lambda line: None,  # noqa: ARG005 - silence is the default
+        **options: Any,
+    ) -> None:
+        self.scan = as_scan(scan)
+        self.settings = _of(settings, options)
+        self.noise = given_noise(self.settings.noise.noise if noise is None else noise)
+        """The noise: given, or made for the first record; None until then."""
+        if self.noise is not None:
+            self.noise.select(self.scan.beam).check_scan(self.scan)
+            check_duration(self.settings.records.duration, self.noise)
+        self.memory = check_count(memory, what="memory", minimum=0)
+        records = {name: value for name, value in to_plain(self.settings.records).items() if "motion" not in name}
+        self._closing = ClosingRecords(
+            self.scan,
+            before=self.memory,
+            every=every,
+            lateness=lateness,
+            quality=self.settings.quality,
+            **records,
+        )
+        self._options = self.settings.fit
+        self._say = say
+        self._waiting: list[xr.Dataset] = []
+        self._plan: Plan | None = None
+
+    def add(self, samples: xr.Dataset) -> list[Fit]:
+        """Take the next samples, and return the fits of the records that close with them.
+
+        Parameters
+        ----------
+        samples : Dataset
+            Radial velocities as from `bayes_rs.read`, from one sample to many records. A record closes with the first
+            sample that comes `lateness` after its end. Repeated samples count once.
+
+        Returns
+        -------
+        fits : list of Fit
+            One of each record, in the order of their starts; empty if none closes. It has that record alone, also one
+            without any sample, flagged and not fitted. Before there is noise, records wait for the first with a wind.
+
+        Raises
+        ------
+        InputError
+            If the samples are not valid or one comes too late; nothing of them is taken then.
+        """
+        return self._fitted(self._closing.add(samples), last=False)
+
+    def close(self) -> list[Fit]:
+        """Return the fits of the records that are still open, as `add` does, and take no more samples."""
+        return self._fitted(self._closing.close(), last=True)
+
+    def _fitted(self, found: Sequence[xr.Dataset], *, last: bool) -> list[Fit]:
+        self._waiting += map(believed, found)
+        for records in self._waiting:
+            if self.noise is not None:
+                break
+            with one_thread():
+                self.noise = noise_for_later(records, self.scan, self._own(records), self.settings.noise, self._say)
+        if self.noise is None:
+            if last and self._waiting:
+                raise InputError(
+                    f"No noise is given, and none of {len(self._waiting)} records has a wind speed and direction that "
+                    "it could be made for: give noise, or look at the flags of make_records(series, scan)."
+                )
+            return []
+        waited, self._waiting = self._waiting, []
+        return [self._fit(records) for records in waited]
+
+    def _own(self, records: xr.Dataset) -> FitOptions:
+        return with_median_length_scale(self._options, self.settings.noise, records, self.noise)
+
+    def _fit(self, records: xr.Dataset) -> Fit:
+        """Fit the last of some records as one among them."""
+        noise, choice = self.noise, self.settings.noise
+        own = self._own(records)
+        with one_thread():
+            found, told = noise_and_records(records, self.scan, noise, own, choice, lambda line: None)  # noqa: ARG005
+            self._plan = plan_fit(told, self.scan, found, own, inputs={}, like=self._plan)
+        plan = with_settings(of_last_record(self._plan), noise=noise_section(choice, noise))
+        return fit_in_memory(plan, 1, None, progress=False)
+
+
+def _of(settings: Settings | str | Path | None, options: dict[str, Any]) -> Settings:
+    """Return the settings of a stream, checked."""
+    if isinstance(settings, (str, Path)):
+        settings = Settings.load(settings)
+    if not isinstance(settings, (Settings, type(None))):
+        raise InputError(f"Invalid settings {in_short(settings)}: give Settings(), or the file of some.")
+    changed = (Settings() if settings is None else settings).changed(**options)
+    own = changed.fit
+    if own.campaign == "on" or own.campaign_group is not None or own.campaign_unsteady:
+        raise InputError(
+            "A stream learns no campaign, since it does not know the records to come: leave campaign, campaign_group "
+            "and campaign_unsteady out, or give what another fit has learnt as prior='campaign:FILE'."
+        )
+    if changed.records.motion:
+        raise InputError(
+            "The option motion is not used in a stream: its files hold the lidar's motion when all is measured; fit "
+            "with them afterwards."
+        )
+    return replace(changed, fit=replace(own, campaign="off"))

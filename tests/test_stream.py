@@ -1,0 +1,241 @@
+"""Fits of records as they close: those of the batch, bit by bit, and no more work than one record is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import bayes_rs as brs
+from bayes_rs.errors import InputError
+from bayes_rs.priors.interface import LogRatioPrior
+
+SCAN = "2-beam"
+FLOW = "fu-2022"
+SEED = 3
+N_RECORD = 4
+NOTHING_POOLED = {"instrument_noise": 0.0, "scatter": "theory", "unsteady_level": 0.0, "turbulence": FLOW}
+
+
+@pytest.fixture(scope="module")
+def series():
+    return brs.simulate(SCAN, FLOW, wind_speed=10.0, n_records=N_RECORD, seed=1)
+
+
+@pytest.fixture(scope="module")
+def records(series):
+    return brs.make_records(series, SCAN)
+
+
+@pytest.fixture(scope="module")
+def noise():
+    """Noise over length scales, so that those of the records are found."""
+    return brs.noise.calibrate(
+        SCAN, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], length_scale=[20.0, 160.0], tolerance=0.05
+    )
+
+
+@pytest.fixture(scope="module")
+def noise_of_one_length():
+    return brs.noise.calibrate(SCAN, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], tolerance=0.05)
+
+
+def pieces(series, size):
+    for first in range(0, series.sizes["sample"], size):
+        yield series.isel(sample=slice(first, first + size))
+
+
+def run(series, size=700, **options):
+    stream = brs.Stream(SCAN, seed=SEED, **options)
+    found = [fit for piece in pieces(series, size) for fit in stream.add(piece)]
+    return stream, [*found, *stream.close()]
+
+
+def same(one, batch, record, but=()):
+    """Check the fit of one record against that record of another fit, to the last bit."""
+    for name in ("summary", "draws", "posterior"):
+        mine, other = one.table(name), batch.table(name)
+        other = other[other["record"] == batch.table("posterior")["record"].iloc[record]].reset_index(drop=True)
+        without = ["record", *but]
+        pd.testing.assert_frame_equal(
+            mine.drop(columns=without, errors="ignore"), other.drop(columns=without, errors="ignore"), check_exact=True
+        )
+
+
+class TestNumbersOfTheBatch:
+    @pytest.mark.parametrize("memory", [0, 2])
+    def test_of_the_records_that_it_remembers(self, series, records, noise, memory):
+        _, found = run(series, noise=noise, memory=memory)
+        assert len(found) == N_RECORD
+        for number, one in enumerate(found):
+            some = records.isel(record=slice(max(number - memory, 0), number + 1))
+            batch = brs.fit(some, SCAN, noise=noise, seed=SEED, campaign="off")
+            same(one, batch, -1)
+            assert one.n_fitted == 1
+
+    def test_of_all_records_where_nothing_is_learnt_from_others(self, series, records, noise_of_one_length):
+        batch = brs.fit(records, SCAN, noise=noise_of_one_length, seed=SEED, campaign="off", **NOTHING_POOLED)
+        for memory in (0, 1):
+            _, found = run(series, noise=noise_of_one_length, memory=memory, **NOTHING_POOLED)
+            for number, one in enumerate(found):
+                same(one, batch, number)
+
+    def test_what_is_learnt_from_others_counts(self, series, noise):
+        """The tests above would be blind if it did not."""
+        _, alone = run(series, noise=noise, memory=0)
+        _, beside = run(series, noise=noise, memory=3)
+        assert not np.array_equal(alone[-1].summary()["mean"], beside[-1].summary()["mean"])
+
+    def test_whatever_the_size_of_the_chunks(self, series, noise_of_one_length):
+        _, one = run(series, size=97, noise=noise_of_one_length)
+        _, other = run(series, size=10**6, noise=noise_of_one_length)
+        for number, (a, b) in enumerate(zip(one, other, strict=True)):
+            same(a, b, 0)
+            assert a.records["time"].values == series["time"].values[0] + number * np.timedelta64(600, "s")
+
+    def test_records_are_those_of_make_records(self, series, records, noise_of_one_length):
+        _, found = run(series, noise=noise_of_one_length)
+        for number, one in enumerate(found):
+            for name in ("variance", "mean", "count", "flag", "wind_speed", "yaw", "octave_variance"):
+                assert one.records[name].values.tobytes() == records[name].values[[number]].tobytes()
+
+    def test_a_settings_object_says_the_same_as_options(self, series, tmp_path):
+        settings = brs.Settings().changed(seed=SEED, prior="flat", duration=300.0)
+        settings.save(tmp_path / "live.toml")
+        half = brs.noise.calibrate(SCAN, FLOW, wind_speed=10.0, duration=300.0)
+        some = series.isel(sample=slice(0, 1300))
+        found = []
+        for given, options in (
+            (settings, {}),
+            (tmp_path / "live.toml", {}),
+            (None, {"seed": SEED, "prior": "flat", "duration": 300.0}),
+        ):
+            stream = brs.Stream(SCAN, given, noise=half, **options)
+            found.append([*stream.add(some), *stream.close()])
+        assert len(found[0]) == 3
+        for other in found[1:]:
+            same(other[0], found[0][0], 0)
+
+
+class TestSlidingWindow:
+    def test_one_closes_every_so_often(self, series, noise_of_one_length):
+        some = series.isel(sample=slice(0, 2000))  # 1000 s
+        stream, found = run(some, noise=noise_of_one_length, every=100.0, **NOTHING_POOLED)
+        assert len(found) == 5  # from 0, 100, ... 400 s
+        moved = some.assign_coords(time=some["time"] - np.timedelta64(300, "s"))
+        records = brs.make_records(moved, SCAN).isel(record=[1])
+        records = records.assign_coords(time=records["time"] + np.timedelta64(300, "s"))
+        own = {name: value for name, value in NOTHING_POOLED.items() if name != "turbulence"}
+        same(found[3], brs.fit(records, SCAN, noise=stream.noise, seed=SEED, **own), 0)
+
+
+class TestNoise:
+    def test_is_made_once_for_later_winds_and_kept(self, series):
+        lines = []
+        stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW, say=lines.append)
+        assert stream.noise is None
+        fits = [fit for piece in pieces(series, 700) for fit in stream.add(piece)]
+        assert len(fits) == N_RECORD - 1
+        assert len(lines) == 1
+        assert stream.noise.wind_speed.min() <= 3.0
+        assert stream.noise.wind_speed.max() >= 25.0
+        assert np.rad2deg(np.ptp(stream.noise.yaw)) >= 40.0
+        assert all("outside_noise" not in fit.summary()["flag"].iloc[0] for fit in fits)
+
+    def test_of_all_length_scales_where_they_are_the_records_own(self, series):
+        stream = brs.Stream(SCAN, seed=SEED)
+        stream.add(series.isel(sample=slice(0, 1300)))
+        assert stream.noise.length_scale.min() == pytest.approx(10.0)
+        assert stream.noise.length_scale.max() == pytest.approx(320.0)
+
+    def test_a_record_beyond_is_flagged(self, series, noise_of_one_length):
+        fast = series.assign(radial_velocity=3.0 * series["radial_velocity"])
+        _, found = run(fast.isel(sample=slice(0, 1300)), noise=noise_of_one_length)
+        assert "outside_noise" in found[0].summary()["flag"].iloc[0]
+
+    def test_records_wait_for_the_first_wind(self, series):
+        still = series["radial_velocity"].copy()
+        still.values[:1200] = np.nan
+        stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW)
+        some = series.assign(radial_velocity=still)
+        assert stream.add(some.isel(sample=slice(0, 1300))) == []
+        first, second = stream.add(some.isel(sample=slice(1300, 2500)))
+        assert (first.n_fitted, second.n_fitted) == (0, 1)
+
+    def test_without_any_wind_there_is_none(self, series):
+        stream = brs.Stream(SCAN, seed=SEED)
+        stream.add(series.isel(sample=slice(0, 600)).assign(radial_velocity=("sample", np.full(600, np.nan))))
+        with pytest.raises(InputError, match="none of 1 records has a wind speed and direction"):
+            stream.close()
+
+
+class TestWork:
+    """By counts: a record is made, looked at and sampled once, however long the stream has run."""
+
+    def test_of_each_record(self, series, noise_of_one_length, monkeypatch):
+        calls = {"draw": 0, "sorted": []}
+        draw = LogRatioPrior.draw
+
+        def counted(self, *args):
+            calls["draw"] += 1
+            return draw(self, *args)
+
+        monkeypatch.setattr(LogRatioPrior, "draw", counted)
+        from bayes_rs.records import making  # noqa: PLC0415 - its function is counted
+
+        made = making.sort_samples
+
+        def looked_at(chunk, *args):
+            calls["sorted"].append(chunk.sizes["sample"])
+            return made(chunk, *args)
+
+        monkeypatch.setattr(making, "sort_samples", looked_at)
+        run(series, noise=noise_of_one_length, memory=1)
+        assert calls["draw"] == 2  # of the prior: its draws, and those of its widths, for all records together
+        # every sample once; one of the next record with each; and once what an empty record is
+        assert sum(size for size in calls["sorted"] if size > 2) == series.sizes["sample"]
+        assert len([size for size in calls["sorted"] if size <= 2]) <= N_RECORD + 1
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            ({"campaign": "on"}, "A stream learns no campaign"),
+            ({"campaign_group": "hour"}, "A stream learns no campaign"),
+            ({"motion": "tilt.csv"}, "motion is not used in a stream"),
+            ({"memory": -1}, "memory"),
+            ({"every": 70.0}, "Invalid every 70.0 s"),
+            ({"lateness": -1.0}, "lateness"),
+            ({"priors": "flat"}, "Unknown option 'priors'"),
+            ({"duration": 300.0}, "records last 300 s and the noise is for records of 600 s"),
+            ({"settings": 3}, "Invalid settings 3"),
+        ],
+    )
+    def test_what_a_stream_cannot_do(self, noise_of_one_length, options, words):
+        with pytest.raises(InputError, match=words):
+            brs.Stream(SCAN, noise=noise_of_one_length, **options)
+
+    def test_noise_of_another_scan(self, noise_of_one_length):
+        with pytest.raises(brs.NoiseMismatchError):
+            brs.Stream("2-beam@opening_angle_deg=30", noise=noise_of_one_length)
+
+    def test_a_sample_that_is_too_late(self, series, noise_of_one_length):
+        stream = brs.Stream(SCAN, seed=SEED, noise=noise_of_one_length)
+        stream.add(series.isel(sample=slice(0, 1300)))
+        with pytest.raises(InputError, match="came too late"):
+            stream.add(series.isel(sample=slice(0, 10)))
+
+    def test_several_ranges(self, series, noise_of_one_length):
+        several = series.assign_coords(range=("sample", np.repeat([50.0, 100.0], series.sizes["sample"] // 2)))
+        with pytest.raises(InputError, match="of 2 ranges"):
+            brs.Stream(SCAN, noise=noise_of_one_length).add(several)
+
+
+def test_a_fit_of_a_stream_draws_and_tells(series, noise_of_one_length):
+    _, found = run(series.isel(sample=slice(0, 1300)), noise=noise_of_one_length)
+    assert isinstance(found[0], brs.Fit)
+    assert isinstance(found[0].to_arviz()["posterior"], xr.Dataset | xr.DataTree)
+    figure = brs.plot.corner(found[0], 0)
+    assert len(figure.axes) == 21
