@@ -30,6 +30,7 @@ PUBLIC = [
     "Settings",
     "WorkerError",
     "__version__",
+    "budget",
     "campaign",
     "compare",
     "compare_inflow",
@@ -111,7 +112,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["campaign", "comparison", "corner", "lumley", "profile", "scan", "spectra", "stresses"],
+    "plot": ["budget", "campaign", "comparison", "corner", "lumley", "profile", "scan", "spectra", "stresses"],
     "priors": [
         "CampaignPrior",
         "FlatPrior",
