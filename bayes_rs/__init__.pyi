@@ -22,6 +22,7 @@ from .errors import MissingExtraError as MissingExtraError
 from .errors import NoiseMismatchError as NoiseMismatchError
 from .errors import NotPositiveDefiniteError as NotPositiveDefiniteError
 from .errors import WorkerError as WorkerError
+from .fits.budget import budget as budget
 from .fits.fit_folder import open_fit as open_fit
 from .fits.fit_object import Fit as Fit
 from .fits.fit_options import FitOptions as FitOptions

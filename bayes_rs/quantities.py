@@ -95,6 +95,7 @@ LIMITS: dict[str, Limits] = {
     "yaw_sd_missing_deg": _SD_DEG,
     "tilt_sd_deg": _SD_DEG,
     "instrument_noise_log_sd": _LOG_SD,
+    "probe_length_log_sd": _LOG_SD,
     "length_scale_log_sd": Limits(1e-6, 2.0, "0.1 to 1 are usual"),
     "vertical_gradient_sd": Limits(1e-9, 5.0, "0.3 is usual"),
     "lateral_gradient_sd": Limits(1e-9, 5.0, "0.3 is usual"),

@@ -1,11 +1,11 @@
 """What the covariances between beams add, and what they cost where the air has another coherence.
 
-    python benchmarks/covariances.py [RECORDS]
+    python benchmarks/covariances.py [RECORDS [more]]
     python benchmarks/covariances.py campaign [RECORDS]
 
 Records of the second generator (`air.py`) under all defaults, by variances and by covariances: means over the truth,
 how often 90 % intervals hold it, widths over those of the variances, and what the program says of the coherence. The
-table goes to covariances.csv. With ``campaign``: the mean ratios of all records, learnt from either, of single cones;
+table goes to covariances.csv; ``more`` goes on where that ends. With ``campaign``: the mean ratios of all records, learnt from either, of single cones;
 to covariances-campaign.csv.
 """
 
@@ -120,13 +120,15 @@ def main() -> None:
     n_record = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     scenes = [(name, kind, scan, {}) for scan in SCANS for name, kind in MANN.items()]
     scenes += [(name, kind, scan, more) for name, (kind, more) in OTHER.items() for scan in OF_OTHER]
-    rows: list[dict[str, object]] = []
+    file = Path(__file__).with_suffix(".csv")
+    rows: list[dict[str, object]] = pd.read_csv(file).to_dict("records") if sys.argv[2:] == ["more"] else []
+    done = {(one["air"], one["scan"]) for one in rows}
     for name, kind, scan, changes in scenes:
+        if (name, scan) in done:
+            continue
         rows += row(name, kind, scan, n_record, **changes)
-        pd.DataFrame(rows).to_csv(Path(__file__).with_suffix(".csv"), index=False, lineterminator="\n")
-        print(
-            pd.DataFrame(rows[-2:]).drop(columns=["n_record"]).to_string(index=False, header=len(rows) == 2), flush=True
-        )
+        pd.DataFrame(rows).to_csv(file, index=False, lineterminator="\n")
+        print(pd.DataFrame(rows[-2:]).to_string(index=False, header=False), flush=True)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import bayes_rs as brs
+from bayes_rs.fits.intensity_metrics import intensity_errors
 from bayes_rs.geometry.probe import PulsedProbe
 from bayes_rs.noise.probe_words import probe_loss
 from bayes_rs.pictures import COLOURS, POSTERIOR_COLOUR, TRUTH_COLOUR
@@ -123,6 +124,12 @@ def compare(
         )
     ]
     return merged, pd.DataFrame(lines)
+
+
+def as_quoted(rows: pd.DataFrame, column: str = "both") -> pd.DataFrame:
+    """Return the errors of σ_u/U by wind speed as the industry quotes them, of the records' posterior medians."""
+    own = (rows[name].to_numpy() for name in ("median", "low", "high", column, "wind_speed"))
+    return intensity_errors(*own)
 
 
 def campaign_beside_masts(fits: dict[str, brs.Fit], merged: dict[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:
@@ -334,6 +341,7 @@ def main() -> None:
     draw(merged, campaign).savefig(arguments.output / "field-day.png", dpi=90)
     tables = {
         "field-day": table,
+        "field-day-quoted": as_quoted(merged["30 m", "weak"]),
         "field-day-campaign": campaign,
         "field-day-unsteady": unsteady(fits["30 m"]),
         "field-day-beams": along_beams(records, reference),

@@ -131,6 +131,7 @@ SAMPLES = {
         "instrument_noise_log_sd": one("--instrument-noise-sd", 0.3, instrument_noise=0.05),
         "length_scale_log_sd": one("--length-scale-sd", 0.4),
         "length_scale": one("--length-scale", 80.0, length_scale_log_sd=0.2),
+        "probe_length_log_sd": one("--probe-length-sd", 0.2),
         "vertical_gradient_sd": one("--vertical-gradient-sd", 0.3),
         "lateral_gradient_sd": one("--lateral-gradient-sd", 0.2),
         "inflation": one("--inflation", 1.3),

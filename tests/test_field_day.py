@@ -57,6 +57,24 @@ def test_every_record_of_the_day_has_a_posterior(comparison):
         assert merged["flag"].str.contains("beam_left_out").sum() == 8
 
 
+def test_what_the_industry_quotes_is_what_the_docs_say(field_day, comparison):
+    found = field_day.as_quoted(comparison[0]["30 m", "weak"]).to_dict("records")
+    rows = rows_of_table("| m/s | number | lidar | masts | MRBE |")
+    assert len(rows) == len(found)
+    names = ("measured", "reference", "mrbe", "rrmse", "measured_representative", "reference_representative",
+             "representative_error", "coverage")  # fmt: skip
+    for row, own in zip(rows, found, strict=True):
+        assert row[0] == own["bin"].replace("-", " to ").replace(" m/s", "")
+        assert int(row[1]) == own["n_record"]
+        for cell, name in zip(row[2:], names, strict=True):
+            if cell == "–":
+                assert np.isnan(own[name])
+                continue
+            scale, step = (0.01, 0.0005) if cell.endswith("%") else (1.0, 0.0005 if name != "coverage" else 0.005)
+            # rounding, and what the draws of another machine move
+            assert scale * float(cell.rstrip(" %")) == pytest.approx(own[name], abs=step + 0.002)
+
+
 def test_the_unsteady_records_are_those_that_the_docs_name(comparison):
     text = (DOCS / "field-day.md").read_text(encoding="utf-8")
     merged = comparison[0]["30 m", "weak"]

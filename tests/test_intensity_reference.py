@@ -3,10 +3,19 @@
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
+from test_sonic_series import write_toa5
 
 from bayes_rs import InputError
-from bayes_rs.fits.intensity_metrics import BIAS_LIMIT, RRMSE_LIMIT, intensity_errors
+from bayes_rs.fits.intensity_metrics import (
+    ALL_SPEEDS,
+    BIAS_LIMIT,
+    RRMSE_LIMIT,
+    intensity_errors,
+    representative_intensity,
+)
 from bayes_rs.fits.intensity_reference import intensity_reference
+from bayes_rs.wind import sonic_stresses
 
 START = np.datetime64("2020-09-03T19:00", "ns") + np.arange(5) * np.timedelta64(600, "s")
 TI = np.array([0.10, 0.12, 0.14, 0.16, 0.18])
@@ -56,6 +65,75 @@ class TestErrors:
 
     def test_the_limits_are_those_that_are_quoted(self):
         assert (BIAS_LIMIT, RRMSE_LIMIT) == (0.05, 0.15)
+
+
+class TestRepresentative:
+    def test_it_is_the_90_percent_quantile_of_normal_intensities(self):
+        """Φ(1.28) = 0.8997; a hundred thousand draws tell a quantile to 0.006 standard deviations."""
+        draws = np.random.default_rng(2).normal(0.14, 0.02, 100_000)
+        assert representative_intensity(draws) == pytest.approx(np.quantile(draws, 0.9), abs=4 * 0.006 * 0.02)
+
+    def test_it_is_of_bins_and_of_two_records_at_least(self):
+        rng = np.random.default_rng(3)
+        reference, speed = rng.uniform(0.08, 0.2, 40), np.append(rng.uniform(6.6, 8.4, 39), 12.0)
+        measured = 1.1 * reference
+        found = intensity_errors(measured, measured, measured, reference, speed).set_index("bin")
+        for name, low in (("6.5-7.5 m/s", 6.5), ("7.5-8.5 m/s", 7.5)):
+            own = reference[(speed >= low) & (speed < low + 1.0)].tolist()
+            mean = sum(own) / len(own)
+            sd = (sum((one - mean) ** 2 for one in own) / (len(own) - 1)) ** 0.5
+            assert found.loc[name, "reference_representative"] == pytest.approx(mean + 1.28 * sd, rel=1e-12)
+            assert found.loc[name, "measured_representative"] == pytest.approx(1.1 * (mean + 1.28 * sd), rel=1e-12)
+            assert found.loc[name, "representative_error"] == pytest.approx(0.1, rel=1e-12)
+        columns = ["measured_representative", "reference_representative", "representative_error"]
+        assert found.loc[[ALL_SPEEDS, "11.5-12.5 m/s"], columns].isna().all().all()
+
+    def test_scatter_of_the_lidar_alone_is_an_error_of_it(self):
+        """Errors without a bias leave the mean, and raise the representative intensity: √(s² + e²) in place of s."""
+        rng = np.random.default_rng(4)
+        reference = rng.normal(0.15, 0.015, 20_000)
+        measured = reference + rng.normal(0.0, 0.02, 20_000)
+        row = intensity_errors(measured, measured, measured, reference, np.full(20_000, 8.0)).iloc[1]
+        assert abs(row["measured"] / row["reference"] - 1.0) < 0.005
+        wanted = (0.15 + 1.28 * np.hypot(0.015, 0.02)) / (0.15 + 1.28 * 0.015) - 1.0
+        assert row["representative_error"] == pytest.approx(wanted, abs=0.005)
+
+
+class TestSonic:
+    """The series of a sonic beside: its stresses are made for records of the same length."""
+
+    @pytest.fixture
+    def series(self):
+        rng = np.random.default_rng(5)
+        time = START[0] + np.arange(6000) * np.timedelta64(500, "ms")  # five records
+        wind = {name: ("time", rng.normal(mean, 1.0, 6000)) for name, mean in (("u", 6.0), ("v", 8.0), ("w", 0.2))}
+        return xr.Dataset(wind, coords={"time": time})
+
+    def test_its_stresses_are_taken(self, series):
+        stresses = sonic_stresses(series)
+        ti, speed = intensity_reference(stresses, START, 600.0)
+        np.testing.assert_allclose(speed, stresses["wind_speed"].values)
+        np.testing.assert_allclose(ti, np.sqrt(stresses["stress"].values[:, 0]) / speed)
+        assert 0.09 < ti.mean() < 0.11  # 1 m/s in 10 m/s
+
+    def test_a_file_and_a_folder_of_a_logger_are_read(self, series, tmp_path):
+        whole = series.assign(temperature=("time", np.full(6000, 20.0)), status=("time", np.zeros(6000)))
+        file = write_toa5(tmp_path / "mast.dat", whole)
+        wanted = intensity_reference(sonic_stresses(series), START, 600.0)
+        for source in (file, str(file), tmp_path):
+            found = intensity_reference(source, START, 600.0)
+            np.testing.assert_allclose(found, wanted, rtol=1e-9)  # twelve digits are written
+
+    def test_records_of_another_length_get_stresses_of_that_length(self, series, tmp_path):
+        whole = series.assign(temperature=("time", np.full(6000, 20.0)), status=("time", np.zeros(6000)))
+        write_toa5(tmp_path / "mast.dat", whole)
+        time = START[0] + np.arange(10) * np.timedelta64(300, "s")
+        found = intensity_reference(tmp_path / "mast.dat", time, 300.0)
+        np.testing.assert_allclose(found, intensity_reference(sonic_stresses(series, duration=300.0), time, 300.0))
+
+    def test_another_dataset_is_refused(self, series):
+        with pytest.raises(InputError, match=r"Invalid reference without 'stress': give .*sonic_stresses"):
+            intensity_reference(series, START, 600.0)
 
 
 class TestMatching:

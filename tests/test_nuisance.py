@@ -9,11 +9,17 @@ from scenes import draw_variances, plain_noise, records_of
 from scipy import stats
 
 from bayes_rs import InputError, Nuisances, compare_inflow, fit, load_scan, load_turbulence, make_records, simulate
+from bayes_rs.fits.batch import noise_at_median
+from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS
+from bayes_rs.fits.prepare import prepare
 from bayes_rs.geometry.forward import radial_variance
+from bayes_rs.geometry.probe import make_probe
 from bayes_rs.likelihoods.log_normal import log_normal_likelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
+from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.probe_length import probe_slope
 from bayes_rs.posteriors.nuisance import RecordNuisances
 from bayes_rs.priors.registry import WeakPrior
 from bayes_rs.wind.mean_vector import mean_wind
@@ -397,3 +403,57 @@ class TestRefusals:
         for given in ({}, {"instrument_noise": 0.0}):
             with pytest.raises(InputError, match="Invalid instrument_noise 0"):
                 fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(instrument_noise_log_sd=0.3), **given)
+
+
+class TestProbeLength:
+    """A probe volume of uncertain length: what a longer one takes of every beam's variance."""
+
+    SCAN = "6-beam@opening_angle_deg=45,probe=zx-300"
+
+    @pytest.mark.parametrize("length_scale", [30.0, 120.0])
+    def test_the_slope_is_that_of_noise_made_for_other_lengths(self, length_scale):
+        scan = load_scan(self.SCAN)
+        flow = replace(load_turbulence("fu-2022"), length_scale=length_scale)
+        optics = scan.probe.parameters()
+        expected = {}
+        for factor in (-0.1, 0.0, 0.1):  # ℓ is proportional to the wavelength
+            probe = make_probe(**{**optics, "wavelength": optics["wavelength"] * np.exp(factor)})
+            noise = theory_noise(replace(scan, probe=probe), flow, wind_speed=10.0)
+            expected[factor] = (1.0 + noise.bias[0]) * (noise.gain[0] @ flow.stresses())
+            if factor == 0.0:
+                slope = probe_slope(noise, [10.0], [0.0], [length_scale])[0]
+        numeric = np.log(expected[-0.1] / expected[0.1]) / 0.2
+        # what a record's mean takes of a probed velocity depends on the probe a little
+        np.testing.assert_allclose(slope, numeric, rtol=0.05)
+
+    def test_an_error_of_the_length_that_is_in_the_data_is_in_the_interval(self):
+        scan, _, stress, rng = scene(self.SCAN, 21)
+        noise = plain_noise(scan, relative_variance=0.003)
+        sd = 0.8
+        slope = probe_slope(noise, np.full(N_RECORD, 10.0), np.zeros(N_RECORD), None)
+        variance = draw_variances(stress, scan, noise, rng)
+        variance *= np.exp(-sd * rng.standard_normal(N_RECORD)[:, None] * slope - 0.5 * (sd * slope) ** 2)
+        options = {"noise": noise, "seed": 1, "target_ess": 400, "sampler": "auto"}
+        records = records_of(variance, scan)
+        check_coverage(fit(records, scan, nuisances=Nuisances(probe_length_log_sd=sd), **options), stress)
+        with pytest.raises(AssertionError):
+            check_coverage(fit(records, scan, **options), stress)
+
+    def test_it_widens_by_what_the_beams_share(self):
+        """Beams that hang together: the covariance of ln y gets σ² s sᵀ, in closed form."""
+        scan, noise, stress, rng = scene(self.SCAN, 22, 4)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        scan, noise, batch = prepare(records, scan, noise, FitOptions(nuisances=Nuisances(probe_length_log_sd=0.5)))
+        found = noise_at_median(batch, noise, Nuisances()).covariance
+        own = 0.5 * probe_slope(noise, batch.wind_speed, batch.yaw, None)
+        log_sd = np.sqrt(np.log1p(own**2))
+        wanted = np.log1p(noise.covariance[0]) + log_sd[:, :, None] * log_sd[:, None, :]
+        np.testing.assert_allclose(np.log1p(found), wanted, rtol=1e-12)
+
+    def test_points_have_no_length(self):
+        scan, noise, stress, rng = scene("6-beam", 23, 2)
+        records = records_of(draw_variances(stress, scan, noise, rng), scan)
+        with pytest.raises(
+            InputError, match=r"Invalid probe_length_log_sd 0\.1: the beams of scan '6-beam' are points"
+        ):
+            fit(records, scan, noise=noise, seed=1, nuisances=Nuisances(probe_length_log_sd=0.1))

@@ -31,6 +31,7 @@ PUBLIC = [
     "Stream",
     "WorkerError",
     "__version__",
+    "budget",
     "campaign",
     "compare",
     "compare_inflow",
@@ -114,7 +115,7 @@ SUBJECTS = {
         "sonic_moments",
         "theory",
     ],
-    "plot": ["campaign", "comparison", "corner", "lumley", "profile", "scan", "spectra", "stresses"],
+    "plot": ["budget", "campaign", "comparison", "corner", "lumley", "profile", "scan", "spectra", "stresses"],
     "priors": [
         "CampaignPrior",
         "FlatPrior",

@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 from fit_scene import NOISE, OPTIONS, SCAN, make_records
 from report_scene import EVIL, demo_records, evil_folder, result_folder, table_folder
@@ -25,10 +26,12 @@ from bayes_rs.report import figures, template
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.beside import beside_data, beside_section, match_fits
 from bayes_rs.report.packing import MISSING, pack, pack_few, pack_rows, pack_steps, plain
+from bayes_rs.report.reference_section import make_reference, reference_data, reference_errors, reference_section
 from bayes_rs.report.report_data import NUMBERS, report_data
 from bayes_rs.report.series import MOST_BINS, make_series
 from bayes_rs.report.tables import flat, interval, number, table
 from bayes_rs.result_folder import seal_folder
+from bayes_rs.wind import sonic_stresses
 
 pytestmark = pytest.mark.slow
 HALF_STEP = 0.5 / 32767 * (1.0 + 1e-6)  # of the largest number in a row; and the rounding of its unit to float32
@@ -649,3 +652,39 @@ class TestPieces:
         text = table("<b>", ("<i>", "b"), [("<u>", "&")])
         assert not re.search(r"<[biu]>", text)
         assert "&amp;" in text
+
+
+class TestReference:
+    """A mast beside: what the page says and draws is what `intensity_errors` tells."""
+
+    def shown(self, full, ti):
+        data = report_data(open_fit(full))
+        return data, make_reference(data, pd.DataFrame({"time": open_fit(full).time, "ti": ti}))
+
+    def test_the_representative_intensity_is_told_and_drawn(self, full):
+        data, reference = self.shown(full, np.linspace(0.09, 0.16, 6))
+        rows = reference_errors(data, reference)
+        bins = rows[rows["bin"] != "all"]
+        drawn = reference_data(data, reference)
+        for name, column in (("ours_high", "measured_representative"), ("theirs_high", "reference_representative")):
+            np.testing.assert_allclose(np.array(drawn["bins"][name], dtype=float), bins[column], rtol=1e-3)
+        np.testing.assert_allclose(drawn["bins"]["coverage"], 100.0 * bins["coverage"], atol=0.005)  # four digits
+        html = reference_section(data, reference)
+        some = bins[bins["n_record"] >= 3]
+        assert len(some) > 0
+        error = f"{100.0 * np.median(some['representative_error']):.1f} %".replace("-", "−")
+        assert f"is off by {error}" in html
+        assert "leaves nacelle lidars out" in html
+        assert "repr. error" in html
+
+    def test_a_sonic_is_a_reference(self, full, tmp_path):
+        fit = open_fit(full)
+        step = np.timedelta64(2, "s")
+        time = np.concatenate([start + np.arange(300) * step for start in fit.time])
+        rng = np.random.default_rng(1)
+        wind = {
+            name: ("time", rng.normal(mean, 1.2, len(time))) for name, mean in (("u", 10.0), ("v", 0.0), ("w", 0.0))
+        }
+        stresses = sonic_stresses(xr.Dataset(wind, coords={"time": time}))
+        page = write_report(fit, tmp_path / "sonic.html", reference=stresses)
+        assert "Turbulence intensity against reference" in page.read_text(encoding="utf-8")

@@ -552,7 +552,7 @@ class TestBesides:
     def test_both_fits_and_the_reference_are_drawn(self, open_page):
         page = open_page("compared")
         assert page.locator("[data-figure=beside] svg").count() == 6
-        assert page.locator("[data-figure=acceptance] svg").count() == 3
+        assert page.locator("[data-figure=acceptance] svg").count() == 4
         assert page.locator("[data-figure=stresses] svg[data-panel=ti] path.reference").count() == 1
         assert page.locator("[data-figure=stresses] path.reference").count() == 1
         drag(page, "uu", 0.5, 1.0)

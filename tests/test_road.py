@@ -255,6 +255,7 @@ NUISANCE_CASES = {
     "instrument_noise_log_sd": ({}, {"instrument_noise_log_sd": 0.8}),
     "length_scale_log_sd": ({"length_scale_log_sd": 0.1, "length_scale": 61.0}, {"length_scale_log_sd": 0.5}),
     "length_scale": ({"length_scale_log_sd": 0.2, "length_scale": 61.0}, {"length_scale": 90.0}),
+    "probe_length_log_sd": ({}, {"probe_length_log_sd": 0.5}),
     "vertical_gradient_sd": ({}, {"vertical_gradient_sd": 0.8}),
     "lateral_gradient_sd": ({}, {"lateral_gradient_sd": 0.8}),
     "inflation": ({}, {"inflation": 1.5}),
@@ -263,6 +264,8 @@ NUISANCE_CASES = {
 """The same for the nuisances."""
 NEEDS = {"instrument_noise_log_sd": {"instrument_noise": 0.05}}
 """Options of the fit that a nuisance needs."""
+OTHER_SCAN = {"probe_length_log_sd": "@probe=zx-tm"}
+"""What a nuisance needs of the scan."""
 
 
 def cases(cls, known):
@@ -300,7 +303,7 @@ def parts_of(scan):
 def scenes_of(tmp_path_factory):
     """For few and many beams: records, scan, noise, and files of records and noise."""
     made = {}
-    for name in ("6-beam", "50-beam"):
+    for name in ("6-beam", "50-beam", "6-beam@probe=zx-tm", "50-beam@probe=zx-tm"):
         folder = tmp_path_factory.mktemp(name)
         records, scan, noise = scene(name, 2)
         records = records.assign(yaw_sd=("record", [np.nan, 1.0]), **parts_of(scan))
@@ -360,7 +363,7 @@ class TestEveryOptionArrives:
         base, changed = ({**one} for one in case)
         more = NEEDS.get(name, {})
         settings = check_arrives(
-            scenes_of[beams],
+            scenes_of[beams + OTHER_SCAN.get(name, "")],
             base_fits,
             name,
             {**more, "nuisances": Nuisances(**base)},

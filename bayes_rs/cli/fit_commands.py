@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -23,9 +23,15 @@ from bayes_rs.cli.voice import answer, detail, note, note_detail, tell, tell_row
 from bayes_rs.fits.settings import AUTO
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
     from matplotlib.figure import Figure
 
     from bayes_rs.fits.fit_object import Fit
+    from bayes_rs.geometry.scan import Scan
+
+_PICTURES = (".png", ".pdf", ".svg")
+"""How the names of pictures end."""
 
 
 @click.command(cls=GroupedCommand)
@@ -160,37 +166,54 @@ def _tell(found: Fit, output: str) -> None:
     help="Factor of all widths of the prior; several are compared.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="CSV file to write, with all columns.")
+@click.option(
+    "--budget",
+    "budgets",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Tell, too, what of each stress's uncertainty comes from sampling, from what is uncertain beside R (--yaw-sd "
+    "and others), and from the prior: a CSV file or a picture (.png, .pdf, .svg) to write; may be given twice.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def sensitivity(
-    files: tuple[str, ...], factors: tuple[float, ...], output: Path | None, overwrite: bool, **options: Any
+    files: tuple[str, ...],
+    factors: tuple[float, ...],
+    output: Path | None,
+    budgets: tuple[Path, ...],
+    overwrite: bool,
+    **options: Any,
 ) -> None:
     """Fit the records under narrower and wider priors, and say which stresses the data decided.
 
-    FILES are radial velocities, or records that `bayes-rs records` wrote.
+    With --budget, say what their uncertainty is made of. FILES are radial velocities, or records that
+    `bayes-rs records` wrote.
     """
     settings = settings_of(files, options)
 
-    from contextlib import nullcontext
+    from contextlib import ExitStack
 
     from bayes_rs.fits.prior_check import prior_sensitivity, sensitivity_lines
     from bayes_rs.intervals import interval_words
     from bayes_rs.output import output_file, write_csv
 
     refuse_beside_noise(settings)
-    own = settings.fit
-    with nullcontext() if output is None else output_file(output, overwrite=overwrite) as part:
+    own, uncertainty = settings.fit, None
+    with ExitStack() as stack:
+        part = None if output is None else stack.enter_context(output_file(output, overwrite=overwrite))
+        parts = [stack.enter_context(output_file(path, overwrite=overwrite)) for path in budgets]
         made, scan = records_and_scan(settings)
-        table = prior_sensitivity(
-            made,
-            scan,
-            noise=settings.noise.noise,
-            factors=factors,
-            say=note,
-            turbulence=settings.noise.turbulence,
+        asked: dict[str, Any] = {
+            "noise": settings.noise.noise,
+            "say": note,
+            "turbulence": settings.noise.turbulence,
             **{name: getattr(own, name) for name in own.__dataclass_fields__ if name != "draws"},
-        )
+        }
+        table = prior_sensitivity(made, scan, factors=factors, **asked)
         if part is not None:
             write_csv(table, part, index=False)
+        if budgets:
+            asked = {**asked, "say": lambda line: None, "derived": own.derived or ("ti",)}  # noqa: ARG005 - it is said
+            uncertainty = _budget(made, scan, asked, parts)
     tell(
         f"Widths of intervals ({interval_words(own.prob, own.interval)}), m² s⁻², medians over the fitted of "
         f"{made.sizes['record']} records. With the prior's width times a factor:"
@@ -198,11 +221,37 @@ def sensitivity(
     tell("the posterior's width over its own under the prior itself; near 1, the data decide.")
     for line in sensitivity_lines(table):
         tell(line, wrap=False)
-    if output is not None:
-        tell(f"table in {output}", wrap=False)
+    if uncertainty is not None:
+        from bayes_rs.fits.budget import budget_lines
+
+        tell("What the uncertainty is made of, m² s⁻², variances averaged over the records:")
+        for line in budget_lines(uncertainty):
+            tell(line, wrap=False)
+    for file in (output, *budgets):
+        if file is not None:
+            tell(f"{'table' if file.suffix not in _PICTURES else 'picture'} in {file}", wrap=False)
     rows = json.loads(table.to_json(orient="records"))
-    answer({"file": None if output is None else str(output), "unit": "m2 s-2", "prob": own.prob, "rows": rows})
+    found = {"file": None if output is None else str(output), "unit": "m2 s-2", "prob": own.prob, "rows": rows}
+    if uncertainty is not None:
+        found["budget"] = json.loads(uncertainty.to_json(orient="records"))
+    answer(found)
     exit_if_doubtful(made)
+
+
+def _budget(made: xr.Dataset, scan: Scan, asked: dict[str, Any], parts: list[Path]) -> pd.DataFrame:
+    """Return the uncertainty budget of records, and write it: as a picture, or as a table."""
+    from bayes_rs.fits.budget import budget_of_records
+    from bayes_rs.output import write_csv
+
+    table = budget_of_records(made, scan, **asked)
+    for part in parts:
+        if part.suffix in _PICTURES:
+            from bayes_rs.plot.budget_plot import budget
+
+            cast("Figure", budget(table)).savefig(part, dpi=130)
+        else:
+            write_csv(table, part, index=False)
+    return table
 
 
 @click.command()

@@ -25,7 +25,8 @@ from bayes_rs.cli.voice import answer, tell
 @click.option(
     "--reference",
     type=click.Path(path_type=Path),
-    help="CSV file with a mast's turbulence intensity, to compare with: time (start), and ti or sigma_u and U.",
+    help="CSV file with a mast's turbulence intensity, to compare with: time (start), and ti or sigma_u and U; or the "
+    "series of its sonic, a TOA5 file or a folder of them, UTC.",
 )
 @click.option(
     "--beside", type=click.Path(path_type=Path), help="Folder of another fit of the same records, to compare with."

@@ -68,6 +68,8 @@ class Batch:
         Relative variance of a record's variances beyond theory: what all beams share, and each beam's own.
     length_log_sd : ndarray, shape (n_record,), optional
         Standard deviations of the records' own ln L, which their noise is averaged over.
+    probe_sd : ndarray, shape (n_record, n_beam), optional
+        Standard deviation of ln y by the unknown length of the probe volume, the same error for all beams of a record.
     group : ndarray of str, shape (n_record,), optional
         The class of each record within a campaign.
     pairs : PairData, optional
@@ -87,6 +89,7 @@ class Batch:
     yaw_sd: FloatArray | None = None
     scatter: FloatArray | None = None
     length_log_sd: FloatArray | None = None
+    probe_sd: FloatArray | None = None
     group: NDArray[np.str_] | None = None
     pairs: PairData | None = None
 
@@ -110,6 +113,7 @@ class Batch:
             None if self.yaw_sd is None else self.yaw_sd[records],
             scatter=None if self.scatter is None else self.scatter[records],
             length_log_sd=None if self.length_log_sd is None else self.length_log_sd[records],
+            probe_sd=None if self.probe_sd is None else self.probe_sd[records],
             group=None if self.group is None else self.group[records],
             pairs=None if self.pairs is None else self.pairs.take(records),
         )
@@ -294,6 +298,8 @@ def _reduced_posterior(batch: Batch, bank: Noise, options: FitOptions) -> tuple[
             at_node = scattered_reduced(at_node, noise.left, batch.scatter)
         if batch.instrument_noise_sd is not None:
             at_node = shifted_reduced(at_node, noise.left, batch.instrument_noise_sd)
+        if batch.probe_sd is not None:
+            at_node = shifted_reduced(at_node, noise.left, batch.probe_sd)
         gain = batch.turned(at_node.gain)
         if options.target == "ensemble":
             gain = gain * (1.0 + at_node.bias)[:, :, None]
@@ -404,6 +410,7 @@ def _with_covariances(batch: Batch, noise: Noise, options: FitOptions, factor: f
         length_log_sd=batch.length_log_sd,
         scatter=batch.scatter,
         noise_sd=batch.instrument_noise_sd,
+        probe_sd=batch.probe_sd,
         turn=batch.turn,
         place=_place(batch, noise, options.nuisances),
         options=options,
@@ -439,7 +446,9 @@ def _noise_of(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -
     found = averaged_noise(noise, batch.wind_speed, batch.yaw, own, batch.length_log_sd)
     if batch.scatter is not None:
         found = scattered(found, batch.scatter)
-    return found if batch.instrument_noise_sd is None else shifted(found, batch.instrument_noise_sd)
+    for common_sd in (batch.instrument_noise_sd, batch.probe_sd):
+        found = found if common_sd is None else shifted(found, common_sd)
+    return found
 
 
 def _own_flow(noise: Noise, batch: Batch, nuisances: Nuisances, factor: float) -> dict[str, FloatArray]:

@@ -28,6 +28,7 @@ def pair_likelihood(
     length_log_sd: FloatArray | None,
     scatter: FloatArray | None,
     noise_sd: FloatArray | None,
+    probe_sd: FloatArray | None,
     turn: FloatArray | None,
     place: FloatArray | None,
     options: FitOptions,
@@ -50,6 +51,9 @@ def pair_likelihood(
         Relative variance of the variances beyond theory: common to all beams, and each beam's own.
     noise_sd : ndarray, shape (n_record, n_beam), or None
         Standard deviation of the instrument's noise, the same error for all beams of a record, over their variances.
+    probe_sd : ndarray, shape (n_record, n_beam), or None
+        Standard deviation of ln y by the unknown length of the probe volume, the same error for all beams of a record;
+        correlations keep theirs.
     turn : ndarray, shape (n_record, 6, 6), or None
         What takes stresses to the record's own tilt and roll.
     place : ndarray, shape (n_record, n_beam, n_gradient), or None
@@ -92,6 +96,9 @@ def pair_likelihood(
         of_pair = -0.5 * correlation / (1.0 - correlation**2)
         shift = np.concatenate([of_own, of_pair * (of_own[:, first[pair]] + of_own[:, second[pair]])], axis=1)
         covariance += shift[:, :, None] * shift[:, None, :]
+    if probe_sd is not None:
+        of_own = probe_sd[:, pairs.column]
+        covariance[:, :n_beam, :n_beam] += of_own[:, :, None] * of_own[:, None, :]
     covariance *= options.nuisances.inflation
     bias[:, pair] *= options.nuisances.inflation
     bias[:, own] = -0.5 * np.einsum("rdd->rd", covariance)[:, own]

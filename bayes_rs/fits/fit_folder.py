@@ -29,6 +29,8 @@ from bayes_rs.result_folder import RUN_FILE, ResultFolder, open_result_folder
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_data import FitData
+    from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
+    from bayes_rs.noise.noise import Noise
     from bayes_rs.priors.registry import Prior
 
 PRIOR_FILE = "prior.parquet"
@@ -163,6 +165,14 @@ class _InFolder:
                     f"draw of the fit; {ADVICE}."
                 )
         return found
+
+    def inputs(self) -> tuple[Noise | None, FitOptions, NoiseOptions]:
+        """Return the noise, if one was given, and the options: what the fit is repeated with."""
+        from bayes_rs.fits.settings import Settings  # noqa: PLC0415 - not needed for the tables
+        from bayes_rs.noise.given import given_noise  # noqa: PLC0415 - as above
+
+        settings = Settings.load(self.folder.path / RUN_FILE)
+        return given_noise(settings.noise.noise), settings.fit, settings.noise
 
     def campaign_prior(self) -> Prior | None:
         from bayes_rs.priors.campaign import load_campaign_prior  # noqa: PLC0415 - seldom needed

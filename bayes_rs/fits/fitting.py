@@ -17,7 +17,7 @@ from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_data import FitData, MemoryTables
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
-from bayes_rs.fits.fit_options import NoiseOptions, split_options
+from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.fit_writing import NOISE_FILE, fit_into
 from bayes_rs.fits.log_likelihood import log_likelihood_of
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
@@ -190,6 +190,9 @@ class _InMemory:
 
     def campaign_prior(self) -> Prior | None:
         return self.learnt.prior
+
+    def inputs(self) -> tuple[Noise | None, FitOptions, NoiseOptions]:
+        return self.plan.shared.noise, self.plan.shared.options, NoiseOptions()
 
     def has_log_likelihood(self) -> bool:
         return True

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
@@ -18,16 +20,18 @@ _NAMES = {"time": "time", "timestamp": "time", "ti": "ti", "sigma_u": "sigma_u",
 
 
 def intensity_reference(
-    source: str | Path | pd.DataFrame, time: NDArray[np.datetime64], duration: float
+    source: str | Path | pd.DataFrame | xr.Dataset, time: NDArray[np.datetime64], duration: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return a reference's turbulence intensity and wind speed at each record.
 
     Parameters
     ----------
-    source : str, Path or DataFrame
+    source : str, Path, DataFrame or Dataset
         A CSV file, or a table: columns ``time`` (start of the period, ISO 8601, UTC if no offset is stated), and ``ti``
         (σ_u/U, no per cent) or ``sigma_u`` and ``U`` (both m/s); ``U`` may stand beside ``ti``. Capital letters do not
-        matter, ``timestamp`` and ``wind_speed`` stand for ``time`` and ``U``.
+        matter, ``timestamp`` and ``wind_speed`` stand for ``time`` and ``U``. Or the series of a sonic, a TOA5 file or
+        a folder of them (`read_sonic`), whose stresses are made for records of this length; or these stresses, as from
+        `sonic_stresses`.
     time : ndarray of datetime64, shape (n_record,)
         Starts of the records.
     duration : float
@@ -45,7 +49,7 @@ def intensity_reference(
         If the file cannot be read, columns are missing, times or numbers are none, two rows are of one time, the
         intensity is in per cent, or no row is of any record.
     """
-    table, where = reference_table(source)
+    table, where = _table(source, duration)
     columns = {_NAMES[str(name).strip().lower()]: name for name in table.columns if str(name).strip().lower() in _NAMES}
     if "time" not in columns or not ("ti" in columns or {"sigma_u", "U"} <= set(columns)):
         found = ", ".join(repr(str(name)) for name in table.columns[:20])
@@ -66,3 +70,43 @@ def intensity_reference(
     row = matched_rows(start, time, duration, where)
     there = row >= 0
     return np.where(there, ti[row], np.nan), np.where(there, speed[row], np.nan)
+
+
+def _table(source: str | Path | pd.DataFrame | xr.Dataset, duration: float) -> tuple[pd.DataFrame, str]:
+    if isinstance(source, xr.Dataset):
+        return _of_sonic(source), "that was given"
+    if not isinstance(source, pd.DataFrame) and _is_series(Path(source)):
+        from bayes_rs.readers.toa5 import read_sonic  # noqa: PLC0415 - a table needs no reader
+        from bayes_rs.wind.sonic import sonic_stresses  # noqa: PLC0415 - as above
+
+        return _of_sonic(sonic_stresses(read_sonic(source), duration=duration)), f"in {str(source)!r}"
+    return reference_table(source)
+
+
+def _is_series(path: Path) -> bool:
+    """Tell whether a file is that of a logger of Campbell's, or a folder."""
+    if path.is_dir():
+        return True
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(8).lstrip(b'"').startswith(b"TOA5")
+    return False
+
+
+def _of_sonic(stresses: xr.Dataset) -> pd.DataFrame:
+    """Return σ_u and the wind speed of a sonic's records.
+
+    Raises
+    ------
+    InputError
+        If they are not what `sonic_stresses` returns.
+    """
+    missing = [name for name in ("stress", "wind_speed", "time") if name not in stresses.variables]
+    if missing:
+        raise InputError(f"Invalid reference without {missing[0]!r}: give the Dataset of bayes_rs.wind.sonic_stresses.")
+    return pd.DataFrame(
+        {
+            "time": stresses["time"].values,
+            "sigma_u": np.sqrt(stresses["stress"].sel(component="uu").values),
+            "U": stresses["wind_speed"].values,
+        }
+    )

@@ -91,6 +91,8 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         batch = replace(batch, scatter=np.stack([known[:, 0], own], axis=-1))
     if uncertain.length_scale_sd_of_records and {"length_scale", "length_scale_log_sd"} <= set(records):
         batch = replace(batch, length_log_sd=_own_length_log_sd(records))
+    if uncertain.probe_length_log_sd > 0.0:
+        batch = replace(batch, probe_sd=_probe_sd(batch, noise, uncertain.probe_length_log_sd))
     if uncertain.yaw_sd_of_records:
         batch = replace(batch, yaw_sd=_own_yaw_sd(records, can_be_fitted(batch), uncertain.yaw_sd_missing_deg))
     return scan, noise, batch
@@ -209,6 +211,18 @@ def _own_length_log_sd(records: xr.Dataset) -> FloatArray:
     """Return how uncertain the records say that ln L is, shape (n_record,); 0 where they do not."""
     own = np.asarray(records["length_scale_log_sd"].values, dtype=np.float64)
     return np.where(np.isfinite(own) & (own > 0.0), own, 0.0)
+
+
+def _probe_sd(batch: Batch, noise: Noise, log_sd: float) -> FloatArray:
+    """Return how uncertain ln y is where the length of the probe volume is, shape (n_record, n_beam)."""
+    if not noise.scan_geometry.get("probe"):
+        raise InputError(
+            f"Invalid probe_length_log_sd {log_sd:g}: the beams of scan {noise.scan_name!r} are points, which have no "
+            "length; leave it out (--probe-length-sd), or name a scan with a probe volume."
+        )
+    from bayes_rs.noise.probe_length import probe_slope  # noqa: PLC0415 - seldom needed
+
+    return log_sd * probe_slope(noise, batch.wind_speed, batch.yaw, batch.flow.get("length_scale"))
 
 
 def check_duration(duration: float, noise: Noise) -> None:

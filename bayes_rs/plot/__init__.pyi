@@ -1,3 +1,4 @@
+from .budget_plot import budget as budget
 from .campaign_plot import campaign as campaign
 from .corner_plot import corner as corner
 from .lumley_plot import lumley as lumley

@@ -51,6 +51,10 @@ class Nuisances:
     looks like uw (vertical) or uv (lateral), and priors decide what it is; see `inflow_confounding`. The relative
     covariance of the noise does not depend on a gradient.
 
+    The length ℓ of the probe volume is the same for all beams of a record. What a longer one takes of every variance,
+    σ ∂ln E[y]/∂ln ℓ by `probe_slope`, is an error of ln y that the beams share, and is put into their covariance: to
+    first order in ln ℓ, so for errors well below a factor of two.
+
     The length scale is summed out with a Gauss–Hermite rule of five nodes, the inflation exactly: a normal density
     whose covariance has an inverse-gamma factor is a Student-t.
 
@@ -92,6 +96,11 @@ class Nuisances:
     length_scale: float | None = option(
         None, "Median of the length scale; by default each record's own, else that of the turbulence", unit="m"
     )
+    probe_length_log_sd: float = option(
+        0.0,
+        "Standard deviation of the logarithm of the probe volume's length, whose median is that of the scan",
+        flag="--probe-length-sd",
+    )
     vertical_gradient_sd: float = option(
         0.0, "Standard deviation of the change of the stresses' logarithm over 100 m upwards"
     )
@@ -123,6 +132,7 @@ class Nuisances:
         for name, unit in (
             ("tilt_sd_deg", "°"),
             ("instrument_noise_log_sd", ""),
+            ("probe_length_log_sd", ""),
             ("vertical_gradient_sd", "per 100 m"),
             ("lateral_gradient_sd", "per 100 m"),
         ):
@@ -205,6 +215,8 @@ class Nuisances:
             parts.append(f"tilt ± {self.tilt_sd_deg:g}°")
         if self.instrument_noise_log_sd:
             parts.append(f"instrument noise within a factor {np.exp(self.instrument_noise_log_sd):.2g}")
+        if self.probe_length_log_sd:
+            parts.append(f"length of the probe volume within a factor {np.exp(self.probe_length_log_sd):.2g}")
         for name, width in self._gradient_sd.items():
             if width:
                 parts.append(f"{name.replace('_', ' ')} of ln R ± {width:g} per {GRADIENT_LENGTH:g} m")

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.fits.intensity_metrics import ALL_SPEEDS, BIAS_LIMIT, RRMSE_LIMIT, intensity_errors
+from bayes_rs.fits.intensity_metrics import ALL_SPEEDS, BIAS_LIMIT, REPRESENTATIVE, RRMSE_LIMIT, intensity_errors
 from bayes_rs.fits.intensity_reference import intensity_reference
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
@@ -28,6 +29,7 @@ _SCOPE = (
     "record counts with its posterior median. A reference at another place sees other eddies, which is part of the "
     "RRMSE and of what the intervals miss."
 )
+_CAPTION = f"Errors; repr. is representative TI, the mean of a bin plus {REPRESENTATIVE:g} standard deviations"
 _NORMAL = 1.959964
 """Standard errors to each side of a mean that hold 95 %."""
 
@@ -49,7 +51,7 @@ class Reference:
     wind_speed: FloatArray
 
 
-def make_reference(found: ReportData, source: str | Path | pd.DataFrame) -> Reference:
+def make_reference(found: ReportData, source: str | Path | pd.DataFrame | xr.Dataset) -> Reference:
     """Read a reference, as `intensity_reference` does, for the records of a report.
 
     Raises
@@ -61,7 +63,7 @@ def make_reference(found: ReportData, source: str | Path | pd.DataFrame) -> Refe
         raise InputError("The records have no wind speeds, and so no turbulence intensity to lay beside a reference.")
     duration = float(found.records.attrs.get("duration", 600.0))
     ti, speed = intensity_reference(source, found.time, duration)
-    name = "reference" if isinstance(source, pd.DataFrame) else Path(source).name
+    name = Path(source).name if isinstance(source, (str, Path)) else "reference"
     return Reference(name, ti, speed if np.isfinite(speed).any() else found.wind_speed)
 
 
@@ -81,16 +83,20 @@ def reference_data(found: ReportData, reference: Reference) -> dict[str, Any]:
         "name": reference.name,
         "bias_limit": round(100.0 * BIAS_LIMIT, 6),
         "rrmse_limit": round(100.0 * RRMSE_LIMIT, 6),
+        "prob": round(100.0 * found.prob, 6),
         "few": FEW,
         "bins": {
             "speed": plain(bins["wind_speed"].to_numpy()),
             "count": bins["n_record"].tolist(),
             "ours": plain(bins["measured"].to_numpy()),
             "theirs": plain(bins["reference"].to_numpy()),
+            "ours_high": plain(bins["measured_representative"].to_numpy()),
+            "theirs_high": plain(bins["reference_representative"].to_numpy()),
             "bias": plain(100.0 * bias),
             "bias_low": plain(100.0 * (bias - half)),
             "bias_high": plain(100.0 * (bias + half)),
             "rrmse": plain(100.0 * bins["rrmse"].to_numpy()),
+            "coverage": plain(100.0 * bins["coverage"].to_numpy()),
         },
     }
 
@@ -110,18 +116,21 @@ def reference_section(found: ReportData, reference: Reference) -> str:
         f"(RRMSE) {_percent(rrmse)}, {below} {100 * RRMSE_LIMIT:g} %. The {called}, holds the reference in "
         f"{100.0 * whole['coverage']:.0f} % of the records."
     )
-    verdict = [numbers, _SCOPE]
+    verdict = [numbers, *_representative_words(rows), _SCOPE]
     if 2 * of_priors.sum() > len(of_priors):
         verdict.append("In most records uu, and so turbulence intensity, is mostly the prior's.")
     caption = (
         key("middle", "lidar, mean of the posterior medians")
         + key("reference", reference.name)
+        + key("middle dashed", f"lidar, representative: mean + {REPRESENTATIVE:g} sd of a bin")
+        + key("reference dashed", f"{reference.name}, representative")
         + key("accepted", "band of acceptance")
         + key("point", "error of a bin of 1 m/s, with 95 % by its standard error")
         + key("point priors", f"fewer than {FEW} records")
     )
     header = (
         "wind speed", "records", "lidar TI", "reference TI", "MRBE", "its standard error", "RRMSE",
+        "repr. lidar", "repr. reference", "repr. error",
         f"{100.0 * found.prob:g} % intervals that hold it",
     )  # fmt: skip
     cells = [
@@ -133,6 +142,9 @@ def reference_section(found: ReportData, reference: Reference) -> str:
             _percent(row["mrbe"]),
             _percent(row["mrbe_se"]),
             _percent(row["rrmse"]),
+            number(row["measured_representative"]),
+            number(row["reference_representative"]),
+            _percent(row["representative_error"]),
             f"{100.0 * row['coverage']:.0f} %",
         )
         for row in rows.to_dict("records")
@@ -140,8 +152,23 @@ def reference_section(found: ReportData, reference: Reference) -> str:
     return (
         f"<h3>Turbulence intensity against {escape(reference.name)}</h3>"
         + "".join(f"<p>{escape(text)}</p>" for text in verdict)
-        + figure("acceptance", caption, folded("Table: errors by wind speed", table("Errors", header, cells)))
+        + figure("acceptance", caption, folded("Table: errors by wind speed", table(_CAPTION, header, cells)))
     )
+
+
+def _representative_words(rows: pd.DataFrame) -> list[str]:
+    """Say how far the representative turbulence intensity of the bins is off; nothing without bins that tell."""
+    bins = rows[(rows["bin"] != ALL_SPEEDS) & (rows["n_record"] >= FEW)]
+    if bins.empty:
+        return []
+    error = bins["representative_error"].to_numpy()
+    several = f", median of {len(bins)} bins ({_percent(error.min())} to {_percent(error.max())})"
+    words = (
+        f"Representative TI, the mean of a bin plus {REPRESENTATIVE:g} standard deviations of its records (IEC "
+        f"61400-1: the 90 % quantile, if they are normal), is off by {_percent(float(np.median(error)))}"
+        f"{several if len(bins) > 1 else ''}, in bins with at least {FEW} records."
+    )
+    return [words]
 
 
 def _percent(value: float) -> str:

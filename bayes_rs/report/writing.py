@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import pandas as pd
+import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import VARIANCES
@@ -30,7 +31,7 @@ def write_report(
     *,
     title: str | None = None,
     prob: float | None = None,
-    reference: str | Path | pd.DataFrame | None = None,
+    reference: str | Path | pd.DataFrame | xr.Dataset | None = None,
     beside: Fit | str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
@@ -46,9 +47,10 @@ def write_report(
         Heading of the page; by default the scan and the period.
     prob : float, optional
         Probability of the credible intervals; by default that of the fit. Another one needs the draws.
-    reference : str, Path or DataFrame, optional
+    reference : str, Path, DataFrame or Dataset, optional
         Turbulence intensity of another instrument, as a CSV file or a table: columns ``time`` (start of the period,
-        UTC), and ``ti`` (σ_u/U) or ``sigma_u`` and ``U`` (m/s). The page then shows its errors by wind speed.
+        UTC), and ``ti`` (σ_u/U) or ``sigma_u`` and ``U`` (m/s). Or the series of a sonic, a TOA5 file or a folder of
+        them; or what `bayes_rs.wind.sonic_stresses` makes of it. The page then shows errors by wind speed.
     beside : Fit, str or Path, optional
         Another fit of the same records, or its folder: the page then shows both, matched by the starts of the records.
         A fit that uses covariances has what the variances say by themselves beside it.
@@ -117,8 +119,8 @@ def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
     found = fit.coherence()
     words = found.in_words()
     note = (
-        f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have covariances as unlikely as one "
-        "in a hundred."
+        f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have covariances as unlikely as "
+        "one in a hundred."
     )
     alone = replace(data, numbers=fit.of_stresses(*NUMBERS, dataset=VARIANCES))
     return replace(match_fits(data, alone, ("covariances", "variances")), note=note)

@@ -1,7 +1,7 @@
 // The reference beside: turbulence intensity by wind speed, and its errors against the bands of acceptance.
 
 const acceptance = (holder, full) => {
-  const { bins, bias_limit: biasLimit, rrmse_limit: rrmseLimit, name } = data.reference;
+  const { bins, bias_limit: biasLimit, rrmse_limit: rrmseLimit, prob, name } = data.reference;
   const width = panelWidth(holder, full);
   const range = extent(bins.speed);
   const x0 = [range[0] - 0.7, range[1] + 0.7];
@@ -16,9 +16,11 @@ const acceptance = (holder, full) => {
   };
   const flat = (value, y, box) => `M${box.left} ${y(value)}H${box.right}`;
   const few = bins.count.map((count) => (count < data.reference.few ? 1 : 0));
-  const steps = (values, x, y) => bins.speed.map((speed, k) => `M${x(speed - 0.5)} ${y(values[k])}H${x(speed + 0.5)}`).join("");
-  const ends = [...finite(bins.ours), ...finite(bins.theirs)];
-  panel("mean TI", ends, [0, 1.1 * Math.max(...ends)], `Lidar and ${name}.`, ({ x, y, inside }) => {
+  const steps = (values, x, y) => bins.speed.map((speed, k) => (
+    Number.isFinite(values[k]) ? `M${x(speed - 0.5)} ${y(values[k])}H${x(speed + 0.5)}` : "")).join("");
+  const ends = [bins.ours, bins.theirs, bins.ours_high, bins.theirs_high].flatMap(finite);
+  panel("TI: mean, representative", ends, [0, 1.1 * Math.max(...ends)], `Lidar and ${name}.`, ({ x, y, inside }) => {
+    inside.append(path(steps(bins.theirs_high, x, y), "reference dashed"), path(steps(bins.ours_high, x, y), "middle dashed"));
     inside.append(path(steps(bins.theirs, x, y), "reference"), path(steps(bins.ours, x, y), "middle"));
   });
   const biases = finite([...bins.bias_low, ...bins.bias_high, ...bins.bias]);
@@ -31,5 +33,9 @@ const acceptance = (holder, full) => {
   panel("RRMSE, %", bins.rrmse, [0, top], `Relative root mean square error, limit ${rrmseLimit} %.`, ({ x, y, inside }, box) => {
     inside.append(path(`M${box.left} ${y(rrmseLimit)}H${box.right}V${y(0)}H${box.left}Z`, "accepted"));
     whiskers(inside, bins.speed.map((speed, k) => [x(speed), y(bins.rrmse[k]), NaN, NaN]), few);
+  });
+  panel(`${prob} % intervals that hold it, %`, bins.coverage, [0, 105], `Share of the records, ${prob} % expected.`, ({ x, y, inside }, box) => {
+    inside.append(path(flat(prob, y, box), "zero"));
+    whiskers(inside, bins.speed.map((speed, k) => [x(speed), y(bins.coverage[k]), NaN, NaN]), few);
   });
 };
