@@ -5,8 +5,8 @@
 
 Records of the second generator (`air.py`) under all defaults, by variances and by covariances: means over the truth,
 how often 90 % intervals hold it, widths over those of the variances, and what the program says of the coherence. The
-table goes to covariances.csv; ``more`` goes on where that ends. With ``campaign``: the mean ratios of all records, learnt from either, of single cones;
-to covariances-campaign.csv.
+table goes to covariances.csv; ``more`` goes on where that ends. With ``campaign``: the mean variances of all records,
+learnt from either, of single cones; to covariances-campaign.csv.
 """
 
 from __future__ import annotations
