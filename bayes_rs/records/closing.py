@@ -171,6 +171,8 @@ class ClosingRecords:
             columns={name: values[one] for name, values in state.columns.items()},
         )
         ready = self._ready(lane, rest, final)
+        if not ready:
+            return lane, []
         begun = final if lane.next is None else max(final, lane.next)
         number = np.concatenate([_numbers(block, self._window) for block in lane.blocks])
         before = number[number < begun - self.before]
