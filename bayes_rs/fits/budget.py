@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, as_items, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch
-from bayes_rs.fits.budget_moments import Moments, switched_moments
+from bayes_rs.fits.budget_moments import ENOUGH, OVER_CASES, Moments, switched_moments
 from bayes_rs.fits.budget_sources import COMBINED, KINDS, PRIOR, REST, SAMPLING, SWITCHED, sources_of
 from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.derived import INTENSITIES, check_derived
@@ -49,8 +49,6 @@ COLUMNS = (
 MOST_RECORDS = 200
 """Records that a budget is the mean of; of more, so many, evenly spaced."""
 LEAST_DRAWS = 256
-FEW_EFFECTIVE = 100.0
-"""Effective draws below which the numbers of a case are told to be poor."""
 _BETWEEN = {3: (0, 1), 4: (0, 2), 5: (1, 2)}
 """The variances that uv, uw and vw stand between."""
 _NO_CAMPAIGN = {"campaign": "off", "campaign_group": None, "campaign_unsteady": False}
@@ -80,7 +78,7 @@ def budget(
     derived : sequence of str, optional
         Quantities beside the six stresses, such as ``"ti"``; by default those of the fit.
     n_draw : int
-        Draws of a record.
+        Draws of a record; where fewer than 250 of them are effective, it gets more.
     **uncertain
         Fields of `Nuisances` in place of those of the fit: what is not known and was not counted, as ``yaw_sd_deg=2``,
         ``tilt_sd_deg=0.5`` or ``probe_length_log_sd=0.1``.
@@ -265,10 +263,9 @@ def _moments(
             order.append(rows[of_rows])
             parts.append(part)
     back = np.argsort(np.concatenate(order))
-    axes = {"weight": 1, "mean": 1, "variance": 1, "effective": 1}
     joined: dict[str, FloatArray] = {}
     for name in Moments.__dataclass_fields__:
-        axis, arrays = axes.get(name, 0), [getattr(part, name) for part in parts]
+        axis, arrays = int(name in OVER_CASES), [getattr(part, name) for part in parts]
         if name in ("by_data", "by_prior"):  # records may have different numbers of data: no datum moves nothing
             most = max(array.shape[2] for array in arrays)
             arrays = [np.pad(array, ((0, 0), (0, 0), (0, most - array.shape[2]), (0, 0))) for array in arrays]
@@ -392,6 +389,8 @@ def budget_lines(table: pd.DataFrame) -> list[str]:
     lines.append(line("decided by the data", "", [_percent(row["decided"]) for row in last]))
     if left_out := table.attrs.get("left_out"):
         lines.append(f"taken for known: {', '.join(left_out)}")
+    if (least := table.attrs.get("least_effective", ENOUGH)) < ENOUGH:
+        lines.append(f"few draws: {least:.0f} effective ones in the worst of the records, so its numbers are poor")
     return lines
 
 
