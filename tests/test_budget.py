@@ -11,7 +11,8 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import STRESSES, InputError, Nuisances, budget, cli, load_scan
-from bayes_rs.fits.budget import budget_lines, budget_of_records
+from bayes_rs.fits.budget import budget_of_records
+from bayes_rs.fits.budget_table import budget_lines
 from bayes_rs.geometry.forward import radial_variance
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_length import probe_slope
