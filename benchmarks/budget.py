@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import bayes_rs as brs
-from bayes_rs.fits.budget import budget_lines
+from bayes_rs.fits.budget_table import budget_lines
 from bayes_rs.pictures import Picture
 
 LIDARS = {

@@ -11,7 +11,8 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import STRESSES, InputError, Nuisances, budget, cli, load_scan
-from bayes_rs.fits.budget import budget_lines, budget_of_records
+from bayes_rs.fits.budget import budget_of_records
+from bayes_rs.fits.budget_table import budget_lines
 from bayes_rs.geometry.forward import radial_variance
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.probe_length import probe_slope
@@ -256,6 +257,18 @@ class TestRecords:
             share = column(budget(fit(records, scan, noise=noise, prior=prior), yaw_sd_deg=2.0))
             np.testing.assert_allclose(share.drop("combined").sum(), 1.0, rtol=1e-12)
             assert (share.loc["prior"] >= 0.0).all()
+
+    def test_a_hard_record_gets_more_draws_and_others_keep_theirs(self):
+        records, scan, noise = scene(n_record=3)
+        records["flag"].values[1, 1:] = 1  # one beam, and much that is uncertain
+        uncertain = {"yaw_sd_deg": 12.0, "tilt_sd_deg": 6.0, "vertical_gradient_sd": 1.2, "inflation_dof": 3.0}
+        found = fit(records, scan, noise=noise)
+        each = budget(found, each=True, n_draw=1024, **uncertain)
+        assert each.attrs["least_effective"] > 100.0  # 3 of 1024 without
+        assert each[each["record"] == 1]["share_mcse"].max() < 0.2
+        easy = budget(fit(records.isel(record=[0, 2]), scan, noise=noise), each=True, n_draw=1024, **uncertain)
+        others = each[each["record"] != 1]
+        np.testing.assert_allclose(others["variance"], easy["variance"], rtol=1e-9)
 
     def test_what_cannot_be_told_is_refused(self):
         records, scan, noise = scene("6-beam", 2)

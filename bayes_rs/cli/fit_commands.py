@@ -222,7 +222,7 @@ def sensitivity(
     for line in sensitivity_lines(table):
         tell(line, wrap=False)
     if uncertainty is not None:
-        from bayes_rs.fits.budget import budget_lines
+        from bayes_rs.fits.budget_table import budget_lines
 
         tell("What the uncertainty is made of, m² s⁻², variances averaged over the records:")
         for line in budget_lines(uncertainty):

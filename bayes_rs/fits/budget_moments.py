@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,12 @@ from bayes_rs.priors.registry import Prior
 _PILOT, _NARROW = 0.25, 0.25
 """Shares of the draws from the proposal at the mode, and from one fitted to the posterior with all sources known."""
 _PRIOR_DRAWS, _PRIOR_SEED = 20_000, 0
+ENOUGH, _EXTENSIONS = 250.0, 5
+"""Effective draws that every case of a record should have, and how often its draws may be doubled for that."""
+_TOGETHER = 32
+"""Records that are drawn more of together, twice as many draws at a time."""
+OVER_CASES = ("weight", "mean", "variance", "effective")
+"""What of `Moments` has the cases as its first axis."""
 
 
 @dataclass(frozen=True)
@@ -103,21 +109,65 @@ def _at(case: Collection[str], batch: Batch, noise: Noise, options: FitOptions) 
     return own, noise, changed
 
 
+Case = tuple[Posterior, list[int]]
+"""The posterior of a case, and which coordinates of the nuisances it holds at zero."""
+
+
 def _of_posterior(
-    batch: Batch,
-    full: Posterior,
-    cases: Sequence[tuple[Posterior, list[int]]],
-    options: FitOptions,
-    room: PriorRoom,
-    n_draw: int,
+    batch: Batch, full: Posterior, cases: Sequence[Case], options: FitOptions, room: PriorRoom, n_draw: int
 ) -> Moments:
     everyone, size = np.arange(len(batch)), n_draw // N_ENSEMBLE
     streams = RecordStreams(options.seed, batch.key)
     drawn = Candidates(full, rotations(streams, everyone, N_ENSEMBLE, full.n_coordinate), options.seed)
+    offset = streams.uniform(everyone, (N_ENSEMBLE,))
     drawn.draw(laplace_proposal(full), int(_PILOT * size))
-    narrow = _weights(drawn, *_densities(drawn, *cases[-1]))
-    drawn.draw(drawn.fitted_with(narrow), int(_NARROW * size))
+    _draw_narrow(drawn, cases, int(_NARROW * size))
     drawn.draw(drawn.fitted(), size - drawn.total_size)
+    return _with_enough(batch, drawn, cases, options, room, offset, n_draw, 1)
+
+
+def _with_enough(
+    batch: Batch,
+    drawn: Candidates,
+    cases: Sequence[Case],
+    options: FitOptions,
+    room: PriorRoom,
+    offset: FloatArray,
+    n_draw: int,
+    extension: int,
+) -> Moments:
+    """Return the moments of draws; records with too few effective ones get twice as many, and again."""
+    found = _moments(batch, drawn, cases, options, room, offset, n_draw)
+    short = np.flatnonzero(found.effective.min(axis=0) < ENOUGH)
+    if extension > _EXTENSIONS:
+        return found
+    together = max(1, _TOGETHER // 2**extension)  # the fewer, the more draws each has: memory does not grow
+    for few in (short[first : first + together] for first in range(0, len(short), together)):
+        more, of_few = drawn.take(few), [(posterior.take(few), held) for posterior, held in cases]
+        half = more.total_size // 2
+        _draw_narrow(more, of_few, half)
+        more.draw(more.fitted(), half)
+        other = _with_enough(batch.take(few), more, of_few, options, room, offset[few], n_draw, extension + 1)
+        for field in fields(Moments):
+            place = (slice(None), few) if field.name in OVER_CASES else few
+            getattr(found, field.name)[place] = getattr(other, field.name)
+    return found
+
+
+def _draw_narrow(drawn: Candidates, cases: Sequence[Case], size: int) -> None:
+    """Add draws of a proposal that is fitted to the posterior with all sources known."""
+    drawn.draw(drawn.fitted_with(_weights(drawn, *_densities(drawn, *cases[-1]))), size)
+
+
+def _moments(
+    batch: Batch,
+    drawn: Candidates,
+    cases: Sequence[Case],
+    options: FitOptions,
+    room: PriorRoom,
+    offset: FloatArray,
+    n_keep: int,
+) -> Moments:
     stress = np.moveaxis(drawn.all_stresses(), 1, -1)
     speed = batch.wind_speed[:, np.newaxis, np.newaxis]
     value = np.moveaxis(with_derived(stress, options.derived, speed), -1, 1)  # (record, quantity, set, draw)
@@ -127,14 +177,14 @@ def _of_posterior(
     mean = np.einsum("crsn,rqsn->crqs", within, value)
     square = np.einsum("crsn,rqsn->crqs", within, value * value)
     centred = (value - mean[-1][..., np.newaxis]) * within[-1][:, np.newaxis]
-    picked = resampled(weight[0], streams.uniform(everyone, (N_ENSEMBLE,)), size * N_ENSEMBLE)
-    flat = value.reshape(*value.shape[:2], -1)
-    kept = np.take_along_axis(flat, picked[:, np.newaxis], axis=-1)
+    size = n_keep // N_ENSEMBLE
+    picked = resampled(weight[0], offset, size * N_ENSEMBLE)
+    kept = np.take_along_axis(value.reshape(*value.shape[:2], -1), picked[:, np.newaxis], axis=-1)
     low, high = interval_of(kept, options.prob, options.interval)
     of_sets = np.moveaxis(kept[:, : len(STRESSES)], 1, -1).reshape(len(batch), N_ENSEMBLE, size, len(STRESSES))
-    shape = (len(batch), N_ENSEMBLE, size)
+    shape = (len(batch), N_ENSEMBLE, drawn.total_size)
     residual = _residuals(drawn, *cases[-1]).reshape(*shape, -1)
-    standard = _standard(full.prior, draws_last(drawn.all_coordinates())).reshape(*shape, -1)
+    standard = _standard(drawn.posterior.prior, draws_last(drawn.all_coordinates())).reshape(*shape, -1)
     return Moments(
         of_set,
         mean,
