@@ -289,11 +289,12 @@ class TestRecords:
 
 @pytest.fixture(scope="module")
 def both():
-    """A fit of 60 records by their covariances, at 15 degrees, and the truth."""
+    """A fit of 40 records by their covariances, at 15 degrees."""
     scan = brs.load_scan("6-beam@opening_angle_deg=15")
-    series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=60, seed=9)
+    series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=40, seed=9)
     records = brs.make_records(series, scan, correlations=True)
-    fit = brs.fit(records, scan, seed=1, information="covariances", campaign="off")
+    noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+    fit = brs.fit(records, scan, seed=1, information="covariances", campaign="off", noise=noise)
     return scan, records, fit
 
 
@@ -313,8 +314,8 @@ class TestFit:
         table = fit.summary()
         low, high = (table[name].to_numpy().reshape(-1, 6) for name in ("low", "high"))
         holds = ((low <= truth) & (truth <= high)).mean(axis=0)
-        # 60 records: 0.9 less four standard errors of 0.039
-        assert np.all(holds > 0.74)
+        # 40 records: 0.9 less four standard errors of 0.047
+        assert np.all(holds > 0.71)
 
     def test_the_variances_alone_are_those_of_a_fit_by_variances(self, both):
         scan, records, _ = both
@@ -330,8 +331,9 @@ class TestFit:
     def test_in_the_model_s_own_air_the_coherence_is_not_doubted(self, both):
         _, _, fit = both
         found = fit.coherence()
-        assert found.n_record == 60
-        assert 0.6 < found.misfit < 1.1
+        assert found.n_record == 40
+        # 600 squares: a standard error of 0.06, and less than 1 by what the scales of the coherence are given
+        assert 0.6 < found.misfit < 1.2
         assert not found.doubted
         assert "do not speak against" in found.in_words()
 
@@ -340,7 +342,8 @@ class TestFit:
         scan, records, _ = both
         some = records.isel(record=slice(0, 12)).copy()
         some["beam_correlation"] = some["beam_correlation"] * 0.2
-        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off")
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
         assert fit.coherence().doubted
         assert "speak against the model's coherence" in fit.headline().doubtful
 
@@ -348,7 +351,7 @@ class TestFit:
         scan, records, _ = both
         written = brs.fit(
             records.isel(record=[0, 1, 2]), scan, seed=1, information="covariances", campaign="off",
-            output=tmp_path / "fit",
+            output=tmp_path / "fit", noise=brs.noise.theory(scan, FLOW, wind_speed=10.0),
         )  # fmt: skip
         again = brs.open_fit(tmp_path / "fit")
         for information in ("variances", "covariances"):
@@ -367,10 +370,11 @@ class TestFit:
         columns = ["mean", "low", "high"]
         pd.testing.assert_frame_equal(one[columns], three[columns])
 
+    @pytest.mark.long
     def test_a_campaign_learns_from_the_covariances(self, both):
         scan, records, _ = both
         noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
-        some = records.isel(record=slice(0, 32))
+        some = records.isel(record=slice(0, 12))
         fit = brs.fit(some, scan, seed=1, information="covariances", noise=noise, campaign="on")
         table = fit.campaign()
         assert set(brs.STRESSES) <= set(table["quantity"])
@@ -387,7 +391,7 @@ class TestFit:
         ratio = {}
         for name in ("4-beam@focus_distance=100", "4-beam@focus_distance=80+120"):
             scan = brs.load_scan(name)
-            series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=20, seed=10)
+            series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=12, seed=10)
             records = brs.make_records(series, scan, correlations=True)
             noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
             fit = brs.fit(records, scan, seed=1, information="covariances", campaign="off", noise=noise)
