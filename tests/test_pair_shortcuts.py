@@ -225,10 +225,9 @@ class TestInterpolation:
     def test_what_is_small_beside_others_is_told_by_differences(self):
         """A ratio of values that nearly vanish tells nothing."""
         features, apart, aside = self.scene()
-        size = np.exp(np.random.default_rng(4).normal(0.0, 4.0, len(apart)))
-        size /= np.max(size)
-        truth = size + 0.05 * (1.2 + np.sin(0.05 * features[:, 0]))
-        found = self.interpolate(features, apart, aside, lambda index: truth[index], 1e-3, alike=size)
+        nearly = np.exp(np.random.default_rng(4).normal(-6.0, 3.0, len(apart)))
+        truth = nearly + 0.05 * (1.2 + np.sin(0.05 * features[:, 0]))
+        found = self.interpolate(features, apart, aside, lambda index: truth[index], 1e-3, alike=nearly)
         assert found.n_calculated < 0.4 * len(apart)
         np.testing.assert_allclose(found.values, truth, atol=2e-3)
 
