@@ -13,7 +13,7 @@ from bayes_rs.noise.net import refined_noise
 from bayes_rs.theory import kept_lines, pair_moments
 from bayes_rs.theory.kept_lines import kept_covariance, many_speeds
 from bayes_rs.theory.pairs import distinct_pairs
-from bayes_rs.theory.probed import probed_covariance
+from bayes_rs.theory.probed import by_rules, probed_covariance
 from bayes_rs.turbulence.mann import load_turbulence
 
 FLOW = load_turbulence("fu-2022")
@@ -44,7 +44,8 @@ def counted(monkeypatch):
 def state_by_state(monkeypatch, scan, flow, **options):
     """Noise at each wind speed from covariances that are calculated for it alone."""
 
-    def alone(*given, shortest, **how):
+    def alone(*given, shortest, coarse, **how):
+        assert not coarse
         del shortest
         return probed_covariance(*given, **how)
 
@@ -141,6 +142,20 @@ class TestKept:
         theory_noise(scan, FLOW, wind_speed=9.0, yaw=0.3)
         theory_noise(scan, replace(FLOW, dissipation=0.3), wind_speed=9.0, yaw=0.3)
         assert len(rows) == 2  # another direction, and another flow
+
+    @pytest.mark.parametrize("probe", [CW, PULSE])
+    def test_a_beam_with_itself_takes_half_of_the_nodes(self, probe):
+        """Its covariance is even, so those at separations of both signs tell what the other nodes would."""
+        ahead = np.array([[-1.0, 0.2, 0.1], [-0.6, 0.0, 0.8]])
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        along, lengths = (
+            np.tile(np.array([-300.0, -20.0, 0.0, 20.0, 300.0]), (2, 1)),
+            np.array([[6.0, 6.0], [9.0, 9.0]]),
+        )
+        both = by_rules(ahead, ahead, np.zeros((2, 2)), along, FLOW, probe, lengths, 1e-4)
+        one_more = np.append(along, [[7.0], [7.0]], axis=1)
+        every = by_rules(ahead, ahead, np.zeros((2, 2)), one_more, FLOW, probe, lengths, 1e-4)
+        np.testing.assert_allclose(both, every[:, :-1], rtol=1e-9, atol=1e-9)
 
     def test_mirror_images_and_beams_in_the_other_order_have_one_line(self, monkeypatch):
         rng = np.random.default_rng(2)

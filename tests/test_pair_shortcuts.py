@@ -90,6 +90,18 @@ class TestAgainstEveryPair:
         found = np.linalg.norm((short.covariance - exact.covariance)[0]) / np.linalg.norm(exact.covariance[0])
         assert 0.3 * found < short.details["pair_error"] < PAIR_TOLERANCE
 
+    @pytest.mark.parametrize(("length_scale", "wind_speed"), [(28.0, 14.0), (40.0, 10.0)])
+    def test_long_probes_by_coarse_rules_first(self, length_scale, wind_speed):
+        """Volumes as long as the eddies: points are no help, and all pairs were calculated."""
+        scan, flow = load_scan("zx-300@focus_distance=155.2914"), replace(SEED, length_scale=length_scale)
+        short, exact = (
+            theory_noise(scan, flow, wind_speed=wind_speed, pair_tolerance=t) for t in (PAIR_TOLERANCE, 0.0)
+        )
+        k, truth = short.covariance[0], exact.covariance[0]
+        assert int(short.details["pairs_calculated"].split()[0]) < 500
+        assert np.linalg.norm(k - truth) < 1.5 * PAIR_TOLERANCE * np.linalg.norm(truth)
+        np.testing.assert_allclose(widths(scan, k, flow), widths(scan, truth, flow), rtol=WIDTH)
+
     def test_a_smaller_tolerance_is_kept(self):
         scan = load_scan("zx-tm")
         errors = []
@@ -172,6 +184,13 @@ class TestInterpolation:
             length_scale=60.0,
         )
 
+    def interpolate(self, features, apart, aside, calculate, tolerance, width_tolerance=1.0, alike=None):
+        one = np.ones(len(apart))
+        shares = one[:, np.newaxis] / len(apart)
+        return interpolate_pairs(
+            features, apart, aside, one if alike is None else alike, one, shares, calculate, tolerance, width_tolerance
+        )
+
     def test_a_smooth_function_takes_few(self):
         features, apart, aside = self.scene()
         truth = np.exp(0.01 * (features[:, 0] + features[:, 1]) + 0.02 * features[:, 5])
@@ -181,7 +200,7 @@ class TestInterpolation:
             asked.extend(index.tolist())
             return truth[index]
 
-        found = interpolate_pairs(features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), calculate, 0.02)
+        found = self.interpolate(features, apart, aside, calculate, 0.02)
         assert found.n_calculated == len(asked) == len(set(asked)) < 0.6 * len(apart)
         assert found.error < 0.02
         np.testing.assert_allclose(found.values, truth, rtol=0.1)
@@ -189,12 +208,28 @@ class TestInterpolation:
     def test_a_rough_one_is_calculated_for_all(self):
         features, apart, aside = self.scene()
         truth = np.exp(np.random.default_rng(0).normal(size=len(apart)))
-        found = interpolate_pairs(
-            features, apart, aside, np.ones(len(apart)), np.ones(len(apart)), lambda index: truth[index], 1e-3
-        )
+        found = self.interpolate(features, apart, aside, lambda index: truth[index], 1e-3)
         np.testing.assert_array_equal(found.values, truth)
         assert found.n_calculated == len(truth)
         assert found.error == found.largest_error == 0.0
+
+    def test_more_are_calculated_where_widths_change_too_much(self):
+        features, apart, aside = self.scene()
+        truth = np.exp(0.05 * np.sin(features[:, 0]) + 0.05 * features[:, 5])
+        some, more = (
+            self.interpolate(features, apart, aside, lambda index: truth[index], 0.05, width) for width in (1.0, 1e-5)
+        )
+        assert more.n_calculated > some.n_calculated
+        assert more.width_error <= 1e-5 < some.width_error
+
+    def test_what_is_small_beside_others_is_told_by_differences(self):
+        """A ratio of values that nearly vanish tells nothing."""
+        features, apart, aside = self.scene()
+        nearly = np.exp(np.random.default_rng(4).normal(-6.0, 3.0, len(apart)))
+        truth = nearly + 0.05 * (1.2 + np.sin(0.05 * features[:, 0]))
+        found = self.interpolate(features, apart, aside, lambda index: truth[index], 1e-3, alike=nearly)
+        assert found.n_calculated < 0.4 * len(apart)
+        np.testing.assert_allclose(found.values, truth, atol=2e-3)
 
     def test_spread_pairs_reach_both_ends(self):
         apart = np.random.default_rng(1).uniform(size=500)

@@ -29,7 +29,7 @@ def random_separations(n, seed=0):
 @lru_cache
 def fine_covariances(gamma):
     """What shear changes, at random separations, by a finer quadrature and without a table."""
-    fine = two_point.Resolution(0.1, 120, 48, (-18.0, 10.0), (-15.0, 11.0), 0.1, 96)
+    fine = two_point.Resolution(0.1, 120, 48, (-18.0, 10.0), (-15.0, 11.0), 0.1, 0.1, 96, 6, False)
     rng = np.random.default_rng(3)
     x = np.concatenate([[0.0], np.exp(rng.uniform(-5.0, 5.5, 12))])
     distance = np.concatenate([[0.0, 0.0], np.exp(rng.uniform(-6.0, 3.0, 12))])
@@ -140,6 +140,9 @@ class TestCovariance:
                 distance * np.sin(direction), distance * np.cos(direction), weights, np.tile(x, (len(distance), 1))
             )
             np.testing.assert_allclose(found, exact, rtol=0.0, atol=table.promised_error * scaled_stresses(gamma)[0])
+            place = x[4], distance[5] * np.sin(direction[5]), distance[5] * np.cos(direction[5])
+            one = table.components(*np.array(place)[:, np.newaxis])
+            np.testing.assert_allclose(one[0, index], found[5, 4], atol=1e-6)
         assert table.promised_error <= tolerance
 
     def test_symmetric_and_even(self):
@@ -206,6 +209,17 @@ class TestRadialCovariance:
         n_a, n_b = rng.normal(size=(2, 25, 3))
         exact = np.einsum("ni,nij,nj->n", n_a, velocity_covariance(r, UNIT), n_b)
         np.testing.assert_allclose(radial_covariance(n_a, n_b, r[:, 1:], r[:, :1], UNIT)[:, 0], exact, atol=1e-9)
+
+    @pytest.mark.parametrize("tolerance", [5e-3, 1e-3, 1e-4])
+    def test_separations_of_the_table_are_not_interpolated_and_the_same(self, tolerance):
+        rng = np.random.default_rng(8)
+        n_a, n_b = rng.normal(size=(2, 9, 3))
+        across = rng.normal(size=(9, 2))
+        step = two_point.resolution_for(tolerance, UNIT.gamma)[1].table_step
+        one = 0.01 * np.sinh(step * np.arange(-12, 13))
+        same = radial_covariance(n_a, n_b, across, np.broadcast_to(one, (9, 25)), UNIT, tolerance=tolerance)
+        each = radial_covariance(n_a, n_b, across, np.tile(one, (9, 1)), UNIT, tolerance=tolerance)
+        np.testing.assert_allclose(same, each, atol=1e-5 if tolerance == 5e-3 else 1e-9)  # single precision, or double
 
     def test_isotropic_variance(self):
         n = np.array([[0.6, 0.0, 0.8]])

@@ -132,6 +132,7 @@ def theory_noise(
         wind_speed=wind_speed,
         detrend=detrend,
         tolerance=tolerance,
+        design=rows,
         pair_tolerance=pair_tolerance,
     )
     mean = trace[pairs.distinct[pairs.row == pairs.column]]

@@ -15,12 +15,14 @@ _SCALE = 8.0  # of the features, over which values are correlated
 _DIRECTION, _LENGTH, _SHIFT = 0.2, 0.5, 0.3  # how features of different kinds compare
 _CORE, _CORE_OF_L = 0.25, 1e-3  # of the probe and of L: separations below are told apart evenly
 _NUGGET = 1e-7  # of the variance: errors of the values
-_FIRST, _MOST = 200, 3200  # pairs that are calculated at first, and at most
+_FIRST, _MOST = 200, 3200  # pairs that values are interpolated from at first, and at most
 _N_TEST, _N_NEAR = 64, 24  # pairs to tell the error: by chance, and evenly in separation for the largest
 _MORE = 1.5  # of the pairs, when they do not suffice
-_EVENLY = 0.7  # share of the pairs that are chosen evenly in separation, the others by chance
+_EVENLY = 0.4  # share of the pairs that are chosen evenly in separation, the others by chance
 _WORTH = 0.8  # of all pairs: when so many are needed, all are calculated
 _SEED = 7
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_SINGLE, _LARGEST_ROUNDING = 6e-8, 1e-4  # rounding in single precision, and the most that it may change a value
 _BLOCK = 50_000  # covariances between pairs at a time: their working arrays stay in the processor's cache
 
 
@@ -37,13 +39,17 @@ class PairSample(NamedTuple):
         Root of the sum of squared errors over that of squared values, from pairs that did not serve for the
         interpolation; 0 if all were calculated.
     largest_error : float
-        Largest of the errors of those and of pairs chosen evenly in separation, times `size`.
+        Largest of the errors of those, of pairs chosen evenly in separation, and of each that served for it if it had
+        not, times `size`.
+    width_error : float
+        Relative error of the interval's width that changes most, if errors of pairs have nothing to do with each other.
     """
 
     values: FloatArray
     n_calculated: int
     error: float
     largest_error: float
+    width_error: float
 
 
 def pair_features(
@@ -111,10 +117,12 @@ def interpolate_pairs(
     features: FloatArray,
     apart: FloatArray,
     aside: FloatArray,
-    of_points: FloatArray,
+    alike: FloatArray,
     size: FloatArray,
+    shares: FloatArray,
     calculate: Callable[[NDArray[np.int64]], FloatArray],
     tolerance: float,
+    width_tolerance: float,
 ) -> PairSample:
     """Return values at all pairs from as many as it takes.
 
@@ -126,14 +134,18 @@ def interpolate_pairs(
         How far apart the beams of each are.
     aside : ndarray, shape (n,)
         The same across the wind only.
-    of_points : ndarray, shape (n,)
-        The values that the same beams would have without probe volumes.
+    alike : ndarray, shape (n,)
+        Values that are like those asked for, and known of all pairs: those without probe volumes, or by coarser rules.
     size : ndarray, shape (n,)
         Factors by which errors of the values count.
+    shares : ndarray, shape (n, n_width)
+        How much widths of intervals change, relatively, with the error of each value, so counted.
     calculate : callable
         Returns the values of the pairs whose numbers it is given.
     tolerance : float
         Largest relative error, in the root of the mean square.
+    width_tolerance : float
+        Largest relative error of a width, if errors of pairs have nothing to do with each other.
 
     Returns
     -------
@@ -142,11 +154,12 @@ def interpolate_pairs(
 
     Notes
     -----
-    The logarithm of the values, or of their ratio to those of points, whichever is better, is the mean of a Gaussian
-    process with Matérn's covariance of order 5/2 in the features, given the pairs that are calculated: these are chosen
-    evenly in separation across the wind and by chance, the same at all wind speeds, whose lines are then at hand.
-    Others, chosen by chance, tell the error. While that is above the tolerance, half as many more are calculated; all
-    of them when four in five do not suffice.
+    The logarithm of the values, that of their ratio to values that are like them, or the difference from those,
+    whichever is best, is the mean of a Gaussian process with Matérn's covariance of order 5/2 in the features, given
+    the pairs that are calculated: these are chosen evenly in separation across the wind and by chance, the same at all
+    wind speeds, whose lines are then at
+    hand. Others, chosen by chance, tell the error. While that is above the tolerance, half as many more are calculated,
+    beside those that are; all of them when four in five do not suffice.
     """
     n, scaled = len(apart), features / _SCALE
     chance = np.random.default_rng(_SEED).permutation(n)
@@ -157,63 +170,121 @@ def interpolate_pairs(
         if len(new):
             known[new] = calculate(new)
 
-    starts = (of_points, np.ones(n))
-    order = np.argsort(aside, kind="stable")
+    ways: tuple[_Ratio | _Difference, ...] = (_Ratio(alike), _Ratio(np.ones(n)), _Difference(alike, size))
     test, count = np.append(chance[:_N_TEST], spread_pairs(apart, _N_NEAR)), _FIRST
-    others = chance[~np.isin(chance, test)]
+    evenly, others = _without(_filling(aside), test), _without(chance, test)
     while count <= min(_WORTH * n, _MOST):
-        evenly = np.setdiff1d(_evenly(aside[order], order, int(_EVENLY * count)), test)
-        chosen = np.union1d(evenly, others[: count - len(evenly)])
+        first = evenly[: int(_EVENLY * count)]
+        chosen = np.sort(np.append(first, _without(others, first)[: count - len(first)]))
         know(np.union1d(chosen, test))
-        fields = [_Smooth(scaled[chosen], np.log(known[chosen] / start[chosen])) for start in starts]
+        fields = [_Smooth(scaled[chosen], way.told(known, chosen)) for way in ways]
         off = [
-            size[test] * (start[test] * np.exp(field.at(scaled[test])) - known[test])
-            for field, start in zip(fields, starts, strict=True)
+            size[test] * (way.value(field.at(scaled[test]), test) - known[test])
+            for field, way in zip(fields, ways, strict=True)
         ]
-        whole = np.sum((size * known)[test[:_N_TEST]] ** 2)
-        errors = [float(np.sqrt(np.sum(one[:_N_TEST] ** 2) / whole)) for one in off]
-        best = int(np.argmin(errors))
-        if errors[best] <= tolerance:
+        by_chance = test[:_N_TEST]
+        whole = np.sum((size * known)[by_chance] ** 2)
+        errors = np.array([np.sqrt(np.sum(one[:_N_TEST] ** 2) / whole) for one in off])
+        widths = np.array([_of_widths(shares[by_chance] * one[:_N_TEST, np.newaxis], n) for one in off])
+        best = int(np.argmin(np.maximum(errors / tolerance, widths / width_tolerance)))
+        if errors[best] <= tolerance and widths[best] <= width_tolerance:
             missing = np.flatnonzero(np.isnan(known))
-            known[missing] = starts[best][missing] * np.exp(fields[best].at(scaled[missing]))
-            return PairSample(known, n - len(missing), errors[best], float(np.max(np.abs(off[best]))))
+            known[missing] = ways[best].value(fields[best].at(scaled[missing]), missing)
+            others_say = ways[best].value(fields[best].left_out(), chosen)
+            largest = float(max(np.max(np.abs(off[best])), np.max(np.abs(size[chosen] * (others_say - known[chosen])))))
+            return PairSample(known, n - len(missing), float(errors[best]), largest, float(widths[best]))
         count = int(_MORE * count)
     know(np.arange(n))
-    return PairSample(known, n, 0.0, 0.0)
+    return PairSample(known, n, 0.0, 0.0, 0.0)
+
+
+def _of_widths(changes: FloatArray, count: int) -> float:
+    """Return the largest change of a width by `count` errors, from the changes by some of them, drawn by chance."""
+    return float(np.max(np.sqrt(count * np.mean(changes**2, axis=0)), initial=0.0))
 
 
 def spread_pairs(apart: FloatArray, count: int) -> NDArray[np.int64]:
     """Return the numbers of about `count` pairs that are evenly spread over their separations, ascending."""
-    order = np.argsort(apart, kind="stable")
-    return _evenly(apart[order], order, count)
+    return np.unique(_nearest_to(np.linspace(np.min(apart), np.max(apart), count), apart))
 
 
-def _evenly(ascending: FloatArray, order: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    even = np.linspace(ascending[0], ascending[-1], count)
-    return np.unique(order[np.clip(np.searchsorted(ascending, even), 0, len(order) - 1)])
+def _filling(aside: FloatArray) -> NDArray[np.int64]:
+    """Return numbers of pairs in an order of which every beginning is evenly spread over the separations."""
+    turn = np.modf(_GOLDEN * np.arange(1, len(aside) + 1))[0]  # the next one falls into the largest gap
+    found = _nearest_to(np.min(aside) + turn * np.ptp(aside), aside)
+    _, first = np.unique(found, return_index=True)
+    return found[np.sort(first)]
+
+
+def _nearest_to(places: FloatArray, separation: FloatArray) -> NDArray[np.int64]:
+    order = np.argsort(separation, kind="stable")
+    return order[np.clip(np.searchsorted(separation[order], places), 0, len(order) - 1)]
+
+
+def _without(index: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
+    return index[~np.isin(index, other)]
+
+
+class _Ratio(NamedTuple):
+    """Values told by the logarithm of their ratio to others."""
+
+    others: FloatArray
+
+    def told(self, values: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+        return np.asarray(np.log(values[index] / self.others[index]))
+
+    def value(self, told: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+        return np.asarray(self.others[index] * np.exp(told))
+
+
+class _Difference(NamedTuple):
+    """Values told by their difference from others, over the mean size of those."""
+
+    others: FloatArray
+    size: FloatArray
+
+    @property
+    def unit(self) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean((self.size * self.others) ** 2)) / self.size)
+
+    def told(self, values: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+        return np.asarray((values - self.others)[index] / self.unit[index])
+
+    def value(self, told: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+        return np.maximum(self.others[index] + told * self.unit[index], 0.0)
 
 
 class _Smooth:
     """The mean of a Gaussian process, given values at some places."""
 
     def __init__(self, places: FloatArray, values: FloatArray) -> None:
-        self.places, self.middle = places, float(np.mean(values))
+        self.places, self.values, self.middle = places, values, float(np.mean(values))
         covariance = _matern(places, places)
         covariance[np.diag_indices(len(places))] += _NUGGET
+        self.covariance = covariance
         self.weights = scipy.linalg.solve(covariance, values - self.middle, assume_a="pos")
+        self.single = _SINGLE * np.sum(np.abs(self.weights)) < _LARGEST_ROUNDING
+
+    def left_out(self) -> FloatArray:
+        """Return what each value would be told to be by the others."""
+        return np.asarray(self.values - self.weights / np.diag(scipy.linalg.inv(self.covariance)))
 
     def at(self, places: FloatArray) -> FloatArray:
         """Return its values at other places."""
         rows = max(1, _BLOCK // len(self.places))
         return np.concatenate(
             [
-                self.middle + _matern(places[start : start + rows], self.places) @ self.weights
+                self.middle + _matern(places[start : start + rows], self.places, single=self.single) @ self.weights
                 for start in range(0, len(places), rows)
             ]
         )
 
 
-def _matern(one: FloatArray, other: FloatArray) -> FloatArray:
+def _matern(one: FloatArray, other: FloatArray, *, single: bool = False) -> FloatArray:
     square = np.sum(one**2, axis=1)[:, np.newaxis] + np.sum(other**2, axis=1) - 2.0 * one @ other.T
-    distance = np.sqrt(5.0 * np.maximum(square, 0.0))
-    return np.asarray((1.0 + distance + distance**2 / 3.0) * np.exp(-distance))
+    distance = np.maximum(square, 0.0).astype(np.float32 if single else np.float64, copy=False)
+    distance *= 5.0
+    np.sqrt(distance, out=distance)
+    small = np.exp(-distance)
+    small *= 1.0 + distance * (1.0 + distance * (1.0 / 3.0))
+    return np.asarray(small)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from bayes_rs.theory.kept_lines import kept_covariance
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.pair_interpolation import PairSample, interpolate_pairs, pair_features, spread_pairs
 from bayes_rs.theory.pairs import FEW, Pairs
-from bayes_rs.theory.probed import CHUNK, shortest_length
+from bayes_rs.theory.probed import CHUNK, count_nodes, shortest_length
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
@@ -29,8 +29,13 @@ COARSE = 5e-3
 """Tolerance of the velocity covariances of most pairs, where that does."""
 _ROADS = ((0.25, COARSE), (0.15, 1e-4))  # growth of the lags' distances, and tolerance of the velocity covariances
 _N_CHECKED = 24  # pairs whose sums over all lags are compared
+_AS_MANY = 400  # pairs by the rules as they are: where those by coarse rules take no more work, all are calculated
+_SEEN = 1e-3  # of the direction of stresses that beams see best: what they see less well counts as unseen
 _CAUTION = 5.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}
+
+
+_Probes = Literal["as they are", "coarse", "points"]
 
 
 class PairMoments(NamedTuple):
@@ -84,9 +89,9 @@ class _Record:
         return [(int(n // both), int(n % both), index[of == number]) for number, n in enumerate(found)]
 
     def covariance(
-        self, part: NDArray[np.int64], lag: NDArray[np.int64], tolerance: float, *, points: bool = False
+        self, part: NDArray[np.int64], lag: NDArray[np.int64], tolerance: float, probes: _Probes = "as they are"
     ) -> FloatArray:
-        """Return the covariances of pairs at lags, as they are or as those of points."""
+        """Return the covariances of pairs at lags."""
         pairs = self.pairs
         return kept_covariance(
             pairs.first[part],
@@ -95,18 +100,25 @@ class _Record:
             pairs.along[part, np.newaxis] - self.step * lag,
             self.turbulence,
             probe=self.scan.probe,
-            lengths=np.zeros_like(pairs.lengths[part]) if points else pairs.lengths[part],
+            lengths=np.zeros_like(pairs.lengths[part]) if probes == "points" else pairs.lengths[part],
             shortest=self.shortest,
             tolerance=tolerance,
+            coarse=probes == "coarse",
         )
 
-    def exact(self, index: NDArray[np.int64], *, points: bool = False) -> tuple[FloatArray, FloatArray]:
+    def count_nodes(self, index: NDArray[np.int64], probes: _Probes) -> int:
+        """Count the pairs of points that stand for pairs of beams."""
+        pairs, flow, probe = self.pairs, self.turbulence, self.scan.probe
+        directions, lengths = (pairs.first[index], pairs.second[index]), pairs.lengths[index]
+        return count_nodes(*directions, flow, probe, lengths, coarse=probes == "coarse")
+
+    def exact(self, index: NDArray[np.int64], probes: _Probes = "as they are") -> tuple[FloatArray, FloatArray]:
         """Return inner and trace of pairs from all lags."""
         inner, trace = np.full(len(self.pairs.own), np.nan), np.full(len(self.pairs.own), np.nan)
         for n_a, n_b, members in self.groups(index):
             lag = np.arange(-(n_a - 1), n_b)
             for part in np.array_split(members, int(np.ceil(len(members) * len(lag) / CHUNK))):
-                covariance = self.covariance(part, lag, self.tolerance, points=points)
+                covariance = self.covariance(part, lag, self.tolerance, probes)
                 inner[part] = toeplitz_inner(covariance, covariance, n_a, n_b, detrend=self.detrend) / (n_a * n_b)
                 own = self.pairs.own[part]
                 if np.any(own):  # then n_a = n_b
@@ -128,15 +140,14 @@ class _Record:
         index: NDArray[np.int64],
         nodes: dict[tuple[int, int], LagNodes],
         tolerance: float,
-        *,
-        points: bool = False,
+        probes: _Probes = "as they are",
     ) -> FloatArray:
         """Return inner of pairs from few lags."""
         inner = np.full(len(self.pairs.own), np.nan)
         for n_a, n_b, members in self.groups(index):
             some = nodes[n_a, n_b]
             for part in np.array_split(members, int(np.ceil(len(members) * len(some.lag) / CHUNK))):
-                inner[part] = some.inner(self.covariance(part, some.lag, tolerance, points=points)) / (n_a * n_b)
+                inner[part] = some.inner(self.covariance(part, some.lag, tolerance, probes)) / (n_a * n_b)
         return inner[index]
 
 
@@ -148,6 +159,7 @@ def pair_moments(
     wind_speed: float,
     detrend: str,
     tolerance: float,
+    design: FloatArray,
     pair_tolerance: float = PAIR_TOLERANCE,
 ) -> PairMoments:
     """Return what the noise of a record needs of the distinct pairs of its beams.
@@ -166,6 +178,8 @@ def pair_moments(
         ``"mean"`` or ``"linear"``.
     tolerance : float
         Largest error of a velocity covariance, relative to the variance of u.
+    design : ndarray, shape (n_beam, 6)
+        What the variance of each beam is of the stresses, up to a factor of each beam.
     pair_tolerance : float
         Largest relative error of K that shortcuts may make; 0 for none.
 
@@ -182,17 +196,20 @@ def pair_moments(
       are compared with all lags at `tolerance`; where they differ by more than half of `pair_tolerance`, lags and
       tables are finer, and at last all.
     - Of many pairs of beams with probe volumes, those of points are calculated for all, and those of the volumes for
-      some, from which the others are interpolated (`interpolate_pairs`) with an error that pairs outside of those tell.
+      some, from which the others are interpolated (`interpolate_pairs`) with an error that pairs outside of those tell:
+      that of K, and what it makes of the widths of intervals.
+      Where the volumes are so long that they need fine rules, coarse rules take the place of points: what is between
+      them and the fine ones is smoother by far.
     """
     record = _Record(pairs, scan, turbulence, wind_speed, detrend, tolerance)
     every = np.arange(len(pairs.own))
     if pair_tolerance == 0.0 or len(every) < FEW:
         return PairMoments(*record.exact(every), 0.0, dict(_EVERY))
     with one_thread():
-        return _shortened(record, pair_tolerance)
+        return _shortened(record, design, pair_tolerance)
 
 
-def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
+def _shortened(record: _Record, design: FloatArray, pair_tolerance: float) -> PairMoments:
     pairs = record.pairs
     inner, trace = np.full(len(pairs.own), np.nan), np.full(len(pairs.own), np.nan)
     own, rest = np.flatnonzero(pairs.own), np.flatnonzero(~pairs.own)
@@ -202,10 +219,10 @@ def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
     size = 2.0 / (mean[pairs.row[first]] * mean[pairs.column[first]])  # K = size · inner
     largest = float(np.max(size[own] * inner[own]))
     some = rest[spread_pairs(np.hypot(*pairs.across[rest].T), _N_CHECKED)]
-    exact, _ = record.exact(some, points=True)
+    exact, _ = record.exact(some, "points")
     for growth, coarser in _ROADS:
         tolerance, nodes = max(record.tolerance, coarser), record.nodes(growth)
-        off = size[some] * (record.by_nodes(some, nodes, tolerance, points=True) - exact)
+        off = size[some] * (record.by_nodes(some, nodes, tolerance, "points") - exact)
         lag_error, most = _relative(off, size[some] * exact), float(np.max(np.abs(off))) / largest
         if lag_error <= 0.5 * pair_tolerance:
             break
@@ -219,14 +236,19 @@ def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
     if len(rest) < _MANY or not np.any(pairs.lengths[rest] > 0.0):
         inner[rest] = calculate(np.arange(len(rest)))
         return PairMoments(inner, trace, _CAUTION * most, about)
-    found = _interpolated(record, rest, record.by_nodes(rest, nodes, tolerance, points=True), size[rest], calculate,
-                          pair_tolerance)  # fmt: skip
+    coarse = record.count_nodes(rest, "coarse") <= _AS_MANY / len(rest) * record.count_nodes(rest, "as they are")
+    alike = record.by_nodes(rest, nodes, tolerance, "coarse" if coarse else "points")
+    covariance = size * inner
+    covariance[rest] = size[rest] * alike
+    shares = _shares_of_widths(pairs, design / (design @ record.turbulence.stresses())[:, np.newaxis], covariance)
+    found = _interpolated(record, rest, alike, size[rest], shares[rest], calculate, pair_tolerance)
     inner[rest] = found.values
     most += found.largest_error / largest
     about = {
         "pairs_calculated": f"{found.n_calculated + len(own)} of {len(pairs.own)}, with some lags",
         "pair_error": float(np.hypot(lag_error, found.error)),
         "pair_error_largest": most,
+        "pair_error_widths": found.width_error,
     }
     return PairMoments(inner, trace, _CAUTION * most, about)
 
@@ -234,8 +256,9 @@ def _shortened(record: _Record, pair_tolerance: float) -> PairMoments:
 def _interpolated(
     record: _Record,
     rest: NDArray[np.int64],
-    of_points: FloatArray,
+    alike: FloatArray,
     size: FloatArray,
+    shares: FloatArray,
     calculate: Callable[[NDArray[np.int64]], FloatArray],
     pair_tolerance: float,
 ) -> PairSample:
@@ -250,7 +273,20 @@ def _interpolated(
         step=record.step,
         length_scale=record.turbulence.length_scale,
     )
-    return interpolate_pairs(features, apart, aside, of_points, size, calculate, 0.8 * pair_tolerance)
+    return interpolate_pairs(
+        features, apart, aside, alike, size, shares, calculate, 0.8 * pair_tolerance, pair_tolerance
+    )
+
+
+def _shares_of_widths(pairs: Pairs, relative: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return how much the width of each stress changes, relatively, with K of each distinct pair, shape (n, 6).
+
+    The width is that of least squares of the logarithms of the variances: its square is a sum over K.
+    """
+    solution = np.linalg.pinv(relative, rcond=_SEEN)
+    both = solution[:, pairs.row] * solution[:, pairs.column] * np.where(pairs.row == pairs.column, 1.0, 2.0)
+    whole = np.stack([np.bincount(pairs.distinct, weights=one, minlength=len(covariance)) for one in both], axis=-1)
+    return np.asarray(0.5 * whole / np.maximum(np.abs(covariance @ whole), np.finfo(np.float64).tiny))
 
 
 def _relative(off: FloatArray, values: FloatArray) -> float:

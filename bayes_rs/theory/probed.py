@@ -144,6 +144,7 @@ def by_rules(
     tolerance: float,
     *,
     shortest: float | None = None,
+    coarse: bool = False,
     components: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the covariances of beams with probe volumes by the rules of their kinds of pairs.
@@ -154,34 +155,21 @@ def by_rules(
         As for `probed_covariance`; each separation is calculated.
     shortest : float, optional
         The shortest probe volume that decides which far nodes are left out, m; by default that of each kind of pairs.
+    coarse : bool
+        Take coarse rules, whose results are only like those of the others.
 
     Returns
     -------
     covariance : ndarray, shape (n, n_lag)
         m² s⁻².
     """
-    facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
-    towards = facing * first
-    one = np.min(lengths, axis=-1) <= 0.0
-    parallel = ~one & (np.linalg.norm(second - towards, axis=-1) < _PARALLEL)
-    wide = ~one & ~parallel & needs_wide(towards, second, lengths, turbulence.length_scale)
-    fineness = fineness_for(probe, lengths, turbulence.length_scale)
-    kinds: list[tuple[NDArray[np.bool_], Rule]] = []
-    for fine in np.unique(fineness).tolist():
-        position, weight = probe.beam_rule(fineness=2 * fine)
-        kinds += [
-            (one & (fineness == fine), Rule(2.0 * position, np.zeros_like(position), weight)),
-            (parallel & (fineness == fine), probe.difference_rule(fineness=fine)),
-            (~one & ~parallel & ~wide & (fineness == fine), probe.pair_rule(fineness=fine)),
-            (wide & (fineness == fine), probe.pair_rule(wide=True, fineness=fine)),
-        ]
+    towards, kinds = _rules(first, second, lengths, turbulence, probe, coarse=coarse)
     n_lag, out = along.shape[1], np.empty(along.shape)
     of_first, of_second = (first, second) if components is None else components
-    for members, full_rule in kinds:
-        index = np.flatnonzero(members)
-        if len(index) == 0:
-            continue
+    for index, full_rule in kinds:
         rule = _within(full_rule, lengths[index] if shortest is None else np.array([shortest]), turbulence.length_scale)
+        even = _is_even(first[index], second[index], across[index], along[index], lengths[index])
+        rule = _ahead(rule) if even else rule
         n_node = len(rule.weight)
         for part in np.array_split(index, int(np.ceil(len(index) * n_node * n_lag / CHUNK))):
             a, b = lengths[part, :1] * towards[part], lengths[part, 1:] * second[part]
@@ -196,8 +184,78 @@ def by_rules(
                 turbulence,
                 tolerance=tolerance,
             )
-            out[part] = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
+            total = np.einsum("q,pql->pl", rule.weight, covariance.reshape(len(part), n_node, n_lag))
+            out[part] = total + total[:, ::-1] if even else total
     return out
+
+
+def _is_even(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray, lengths: FloatArray) -> bool:
+    """Tell whether pairs are of a beam with itself, and their separations those of both signs."""
+    own = np.array_equal(first, second) and not np.any(across) and np.array_equal(lengths[:, 0], lengths[:, 1])
+    return bool(own and np.array_equal(along, -along[:, ::-1]))
+
+
+def _ahead(rule: Rule) -> Rule:
+    """Leave out the nodes of a rule that are the others with their signs changed."""
+    ahead = rule.difference > 0.0
+    return Rule(rule.difference[ahead], rule.mean[ahead], rule.weight[ahead])
+
+
+def count_nodes(
+    first: FloatArray,
+    second: FloatArray,
+    turbulence: MannTurbulence,
+    probe: Probe,
+    lengths: FloatArray,
+    *,
+    coarse: bool = False,
+) -> int:
+    """Count the pairs of points whose covariances the rules of `by_rules` take for one separation of all pairs.
+
+    Parameters
+    ----------
+    first, second, turbulence, probe, lengths, coarse
+        As for `by_rules`.
+
+    Returns
+    -------
+    count : int
+        Far nodes, which may be left out, are counted.
+    """
+    _, kinds = _rules(first, second, lengths, turbulence, probe, coarse=coarse)
+    return sum(len(index) * len(rule.weight) for index, rule in kinds)
+
+
+def _rules(
+    first: FloatArray,
+    second: FloatArray,
+    lengths: FloatArray,
+    turbulence: MannTurbulence,
+    probe: Probe,
+    *,
+    coarse: bool,
+) -> tuple[FloatArray, list[tuple[NDArray[np.int64], Rule]]]:
+    """Return the first directions turned towards the second ones, and the kinds of pairs with the rule of each.
+
+    Coarse rules have nodes twice as far apart, and take the mean of the two positions for one that fits it.
+    """
+    facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
+    towards = facing * first
+    one = np.min(lengths, axis=-1) <= 0.0
+    parallel = ~one & (np.linalg.norm(second - towards, axis=-1) < _PARALLEL)
+    wide = ~one & ~parallel & (not coarse) & needs_wide(towards, second, lengths, turbulence.length_scale)
+    fineness = fineness_for(probe, lengths, turbulence.length_scale)
+    fineness = np.maximum(fineness // 2, 1) if coarse else fineness
+    kinds: list[tuple[NDArray[np.bool_], Rule]] = []
+    for fine in np.unique(fineness).tolist():
+        position, weight = probe.beam_rule(fineness=2 * fine)
+        kinds += [
+            (one & (fineness == fine), Rule(2.0 * position, np.zeros_like(position), weight)),
+            (parallel & (fineness == fine), probe.difference_rule(fineness=fine)),
+            (~one & ~parallel & ~wide & (fineness == fine), probe.pair_rule(fineness=fine)),
+            (wide & (fineness == fine), probe.pair_rule(wide=True, fineness=fine)),
+        ]
+    return towards, [(np.flatnonzero(members), rule) for members, rule in kinds if np.any(members)]
 
 
 def probe_transfer(

@@ -32,51 +32,50 @@ def isotropic_correlation(distance: FloatArray) -> tuple[FloatArray, FloatArray]
 _LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _correlation_spline() -> FloatArray:
-    """Return the polynomials of a cubic spline of f − g and g, their highest powers first, shape (n_piece, 2, 4)."""
+def _correlation_spline(kind: str) -> FloatArray:
+    """Return the polynomials of a cubic spline of f − g and g, their highest powers first, shape (2, 4, n_piece)."""
     log_r = np.linspace(_LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION)
     f, g = isotropic_correlation(np.exp(log_r))
     spline = scipy.interpolate.CubicSpline(log_r, np.stack([f - g, g], axis=-1))
-    return np.ascontiguousarray(spline.c.transpose(1, 2, 0))
+    return np.ascontiguousarray(spline.c.transpose(2, 0, 1), dtype=kind)
 
 
 def _correlations(log_r: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return f − g and g from the spline, up to its end; zero beyond.
 
-    Pieces are even: without a search for them it takes a third of the time of SciPy's own evaluation.
+    Pieces are even: without a search for them it takes a sixth of the time of SciPy's own evaluation.
     """
-    step = (_LOG_FARTHEST - _LOG_NEAREST) / (_N_CORRELATION - 1)
-    past = log_r - _LOG_NEAREST
-    piece = np.clip((past * (1.0 / step)).astype(np.int32), 0, _N_CORRELATION - 2)
-    past -= step * piece
-    cubes = _correlation_spline()[piece]
+    step = float((_LOG_FARTHEST - _LOG_NEAREST) / (_N_CORRELATION - 1))
+    past = log_r - float(_LOG_NEAREST)
+    piece = (past * (1.0 / step)).astype(np.int64)
+    past -= (step * piece).astype(past.dtype, copy=False)
     beyond = log_r > _LOG_FARTHEST
     values = []
-    for component in range(2):
-        value = cubes[..., component, 0] * past
-        for power in (1, 2):
-            value += cubes[..., component, power]
+    for cubes in _correlation_spline(past.dtype.name):  # the clip is of those beyond
+        value = cubes[0].take(piece, mode="clip") * past
+        for cube in cubes[1:3]:
+            value += cube.take(piece, mode="clip")
             value *= past
-        value += cubes[..., component, 3]
+        value += cubes[3].take(piece, mode="clip")
         value[beyond] = 0.0
         values.append(value)
     return values[0], values[1]
 
 
 def isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray) -> FloatArray:
-    """Return n_a · C(r) n_b at Γ = 0 in αε^(2/3) L^(2/3), shape (n, n_lag); lengths in L."""
+    """Return n_a · C(r) n_b at Γ = 0 in αε^(2/3) L^(2/3), shape (n, n_lag); lengths in L; as precise as it is given."""
     square = along * along + np.sum(across * across, axis=-1, keepdims=True)
     near = square < np.exp(2.0 * _LOG_NEAREST)  # outside the spline: evaluated directly
-    log_r = 0.5 * np.log(np.where(near, 1.0, square))
+    log_r = 0.5 * np.log(np.where(near, 1.0, square).astype(square.dtype, copy=False))
     difference, lateral = _correlations(log_r)
     if np.any(near):
         f, g = isotropic_correlation(np.sqrt(square[near]))
         difference[near], lateral[near] = f - g, g
     towards = first[:, :1] * along + np.sum(first[:, 1:] * across, axis=-1, keepdims=True)
     towards *= second[:, :1] * along + np.sum(second[:, 1:] * across, axis=-1, keepdims=True)
-    towards /= np.where(square > 0.0, square, 1.0)
+    towards /= np.where(square > 0.0, square, 1.0).astype(square.dtype, copy=False)
     return np.asarray(difference * towards + lateral * np.sum(first * second, axis=-1, keepdims=True))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,13 +21,14 @@ from bayes_rs.turbulence.log_transform import ComplexArray, bessel_mellin, cosin
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.turbulence.one_point import isotropic_tensor
 from bayes_rs.turbulence.spectral_tensor import lifetime_shape, scaled_tensor
-from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stencil
+from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stencil, stretched
 
 INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """The two indices of each of the six stresses."""
 _ODD_IN_K2 = (STRESSES.index("uv"), STRESSES.index("vw"))
 _CORE = 0.01  # L: separations below it are interpolated as evenly as at it
 _BLOCK = 60_000  # covariances at a time: their working arrays stay in the processor's cache
+_ON_GRID = 1e-9  # steps: separations that near those of a table are those of the table
 _LEAST_REACH = (256.0, 4.0)  # L, along and across: a table reaches at least so far, and then to powers of four
 # exponents that make both transforms decay at both ends; results do not depend on them
 _BIAS_ACROSS, _BIAS_ALONG = 0.3, 0.5
@@ -41,17 +43,20 @@ class Resolution(NamedTuple):
     log_k1: tuple[float, float]
     log_kappa: tuple[float, float]
     table_step: float
+    across_step: float
     n_direction: int
+    n_across: int  # points that values are interpolated from in distance, and in direction
+    single: bool  # single precision: its rounding is far below the error
 
 
 _CHECKED_GAMMA = 6.0  # measured errors at 10 and 15 stay below the promise that grows with its square
 # Errors of velocity covariances relative to uu, measured at random separations against a step of 0.1, 120 angles and 48
 # harmonics (repeated in tests/test_two_point.py): below the key of this table for gamma up to 6.
 _RESOLUTIONS: dict[float, Resolution] = {
-    5e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.40, 24),
-    1e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.25, 40),
-    1e-4: Resolution(0.20, 64, 24, (-16.0, 8.0), (-14.0, 9.0), 0.15, 64),
-    2e-5: Resolution(0.14, 72, 28, (-17.0, 9.0), (-15.0, 9.5), 0.12, 80),
+    5e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.40, 0.30, 32, 4, True),
+    1e-3: Resolution(0.25, 64, 24, (-15.0, 7.0), (-12.0, 8.0), 0.25, 0.25, 40, 6, False),
+    1e-4: Resolution(0.20, 64, 24, (-16.0, 8.0), (-14.0, 9.0), 0.15, 0.15, 64, 6, False),
+    2e-5: Resolution(0.14, 72, 28, (-17.0, 9.0), (-15.0, 9.5), 0.12, 0.12, 80, 6, False),
 }
 
 
@@ -136,7 +141,7 @@ def velocity_covariance(
         raise InputError(f"Invalid separation of shape {r.shape}: the last dimension must hold x, y and z.")
     flat = check_array(r.reshape(-1, 3), (None, 3), what="separation") / turbulence.length_scale
     table = covariance_table(turbulence.gamma, flat, tolerance=tolerance)
-    along = table.components(flat[:, 1], flat[:, 2], flat[:, :1])[..., 0].T
+    along = table.components(*flat.T)
     isotropic = isotropic_covariance(flat)
     tensor = unpack_stress(along) + isotropic
     return np.asarray(turbulence.velocity_scale**2 * tensor.reshape(*r.shape[:-1], 3, 3))
@@ -192,7 +197,7 @@ def radial_covariance(
     across_scaled = check_array(across, (None, 2), what="across") / turbulence.length_scale
     n = len(across_scaled)
     n_a, n_b = check_array(first, (n, 3), what="first"), check_array(second, (n, 3), what="second")
-    along_scaled = check_array(along, (n, None), what="along") / turbulence.length_scale
+    along_scaled = _scaled(check_array(along, (n, None), what="along"), turbulence)
     extent = np.array(
         [[np.max(np.abs(along_scaled), initial=0.0), *np.max(np.abs(across_scaled), axis=0, initial=0.0)]]
     )
@@ -201,11 +206,14 @@ def radial_covariance(
         [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in INDEX_PAIRS], axis=-1
     )
     covariance = np.empty(along_scaled.shape)
-    for part in np.array_split(np.arange(n), max(1, min(n, along_scaled.size // _BLOCK))):
+    kind = table.values.dtype
+    for start, stop in pairwise(np.linspace(0, n, max(1, min(n, along_scaled.size // _BLOCK)) + 1).astype(int)):
+        part = slice(start, stop)
         y, z = across_scaled[part].T
-        covariance[part] = table.project(y, z, weights[part], along_scaled[part])
-        covariance[part] += isotropic_radial(n_a[part], n_b[part], across_scaled[part], along_scaled[part])
-    return turbulence.velocity_scale**2 * covariance
+        total = table.project(y, z, weights[part], along_scaled[part])
+        total += isotropic_radial(*(v[part].astype(kind, copy=False) for v in (n_a, n_b, across_scaled, along_scaled)))
+        np.multiply(total, turbulence.velocity_scale**2, out=covariance[part], dtype=np.float64)
+    return covariance
 
 
 def cross_spectra(
@@ -282,8 +290,9 @@ class CovarianceTable:
 
     Attributes
     ----------
-    values : ndarray, shape (6 * n_distance * n_direction, n_along)
-        The six components on a grid of lateral distance, direction and separation along the wind.
+    values : ndarray, shape (n_distance * n_direction * 6, n_along)
+        The six components on a grid of lateral distance, direction and separation along the wind: those of one place
+        across the wind lie beside each other, as they are asked for.
     promised_error : float
         Largest error of a covariance, relative to the variance of u.
     """
@@ -292,7 +301,9 @@ class CovarianceTable:
     values: FloatArray
     shape: tuple[int, int, int]
     table_step: float
+    across_step: float
     direction_step: float
+    n_across: int
     along_start: int
     promised_error: float
 
@@ -314,43 +325,59 @@ class CovarianceTable:
             In αε^(2/3) L^(2/3).
         """
         signs, columns, shares = self._place(y, z)
-        component = (self.shape[0] * self.shape[1]) * np.arange(len(STRESSES))
-        column = component[:, np.newaxis] + columns[:, np.newaxis]
-        share = (signs * weights)[:, :, np.newaxis] * shares[:, np.newaxis]
+        n = len(STRESSES)
+        column = (n * columns[:, :, np.newaxis] + np.arange(n)).astype(np.int32)
+        share = shares[:, :, np.newaxis] * (signs * weights)[:, np.newaxis]
         return self._along(_rows_times(share, column, self.values), x)
 
-    def components(self, y: FloatArray, z: FloatArray, x: FloatArray) -> FloatArray:
-        """Return the six components at separations (x, y, z); as `project`, shape (6, n, n_lag)."""
+    def components(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the six components at separations (x, y, z), each of shape (n,), in L; shape (n, 6)."""
         signs, columns, shares = self._place(y, z)
-        values = self.values.reshape(len(STRESSES), -1, self.shape[2])
-        return np.stack(
+        n, n_along = len(STRESSES), self.shape[2]
+        at, weight = stencil(_stretch(x) / self.table_step - self.along_start, n_along)
+        place = ((n * n_along) * columns[:, :, np.newaxis] + at[:, np.newaxis]).astype(np.int32)
+        share = shares[:, :, np.newaxis] * weight[:, np.newaxis]
+        one = self.values.reshape(-1, 1)
+        return np.concatenate(
             [
-                self._along(_rows_times(sign[:, np.newaxis] * shares, columns, one), x)
-                for sign, one in zip(signs.T, values, strict=True)
-            ]
+                _rows_times(sign[:, np.newaxis, np.newaxis] * share, place + np.int32(index * n_along), one)
+                for index, sign in enumerate(signs.T)
+            ],
+            axis=1,
         )
 
-    def _place(self, y: FloatArray, z: FloatArray) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-        """Return each component's sign (n, 6), and rows of one component and their weights, shapes (n, 36)."""
+    def _place(self, y: FloatArray, z: FloatArray) -> tuple[FloatArray, NDArray[np.int32], FloatArray]:
+        """Return each component's sign (n, 6), and places across the wind and their weights, shapes (n, n_across²)."""
         n_distance, n_direction, _ = self.shape
-        near, near_weight = stencil(_stretch(np.hypot(y, z)) / self.table_step + (STENCIL // 2), n_distance)
+        points, ghost = self.n_across, STENCIL // 2
+        near, near_weight = stencil(_stretch(np.hypot(y, z)) / self.across_step + ghost, n_distance, points)
         turn = np.arctan2(y, z)
         signs = np.where((turn < 0.0)[:, np.newaxis] & _odd_mask(), -1.0, 1.0)  # those odd in y change theirs with it
-        facing, facing_weight = stencil(np.abs(turn) / self.direction_step + (STENCIL // 2), n_direction)
-        columns = (near * n_direction)[:, :, np.newaxis] + facing[:, np.newaxis]
+        facing, facing_weight = stencil(np.abs(turn) / self.direction_step + ghost, n_direction, points)
+        columns = ((near * n_direction)[:, :, np.newaxis] + facing[:, np.newaxis]).astype(np.int32)
         shares = near_weight[:, :, np.newaxis] * facing_weight[:, np.newaxis]
-        return signs, columns.reshape(len(y), STENCIL**2), shares.reshape(len(y), STENCIL**2)
+        return signs, columns.reshape(len(y), points**2), shares.reshape(len(y), points**2)
 
     def _along(self, lines: FloatArray, x: FloatArray) -> FloatArray:
-        return interpolate_rows(lines, np.sign(x) * _stretch(np.abs(x)) / self.table_step - self.along_start)
+        if x.strides[0] == 0 and len(x) > 1:  # the same separations for all: perhaps those that the table holds
+            place = _stretch(x[0]) / self.table_step - self.along_start
+            first, whole = round(float(place[0])), round(float(place[0])) + np.arange(len(place))
+            if first >= 0 and whole[-1] < self.shape[2] and np.max(np.abs(place - whole)) < _ON_GRID:
+                return lines[:, first : first + len(place)]
+        place = _stretch(x.astype(lines.dtype, copy=False))
+        place *= 1.0 / self.table_step
+        place -= self.along_start
+        return interpolate_rows(lines, place)
 
 
-def _rows_times(shares: FloatArray, columns: NDArray[np.int64], values: FloatArray) -> FloatArray:
+def _rows_times(shares: FloatArray, columns: NDArray[np.int32], values: FloatArray) -> FloatArray:
     """Return Σ shares · values[columns] for each row."""
     n = len(shares)
     each = shares[0].size if n else 0
-    start = each * np.arange(n + 1)
-    operator = scipy.sparse.csr_array((shares.ravel(), columns.ravel(), start), shape=(n, len(values)))
+    start = each * np.arange(n + 1, dtype=np.int32)
+    operator = scipy.sparse.csr_array(
+        (shares.ravel().astype(values.dtype, copy=False), columns.ravel(), start), shape=(n, len(values))
+    )
     return np.ascontiguousarray(operator @ values)
 
 
@@ -369,34 +396,35 @@ def covariance_table(gamma: float, separation: FloatArray, *, tolerance: float) 
 def _build_table(gamma: float, along: float, across: float, tolerance: float) -> CovarianceTable:
     promised, resolution = resolution_for(tolerance, gamma)
     ghost = STENCIL // 2
-    step = resolution.table_step
-    n_distance = int(np.ceil(_stretch(np.asarray(across)) / step)) + 1
-    distance = _CORE * np.sinh(step * np.arange(n_distance + ghost))
+    step, across_step = resolution.table_step, resolution.across_step
+    n_distance = int(np.ceil(_stretch(np.asarray(across)) / across_step)) + 1
+    distance = _CORE * np.sinh(across_step * np.arange(n_distance + ghost))
     half = int(np.ceil(_stretch(np.asarray(along)) / step)) + ghost
     x = _CORE * np.sinh(step * np.arange(-half, half + 1))
     direction_step = np.pi / resolution.n_direction
     direction = direction_step * np.arange(-ghost, resolution.n_direction + ghost + 1)
     shape = (len(distance) + ghost, len(direction), len(x))
-    values = np.zeros((len(STRESSES), *shape))
+    values = np.zeros(
+        (shape[0], shape[1], len(STRESSES), shape[2]), dtype=np.float32 if resolution.single else np.float64
+    )
     if gamma > 0.0:
         for index, parts in enumerate(_harmonic_covariances(gamma, x[half:], distance, resolution)):
             m = np.arange(resolution.n_harmonic)
             angular = (np.sin if index in _ODD_IN_K2 else np.cos)(np.outer(direction, m))
             both = np.concatenate([parts[:, :, :0:-1] * np.where(m % 2 == 0, 1.0, -1.0)[:, None, None], parts], axis=2)
             mirror = (both * np.where(m % 2 == 0, 1.0, -1.0)[:, None, None])[:, ghost:0:-1]
-            values[index] = np.tensordot(angular, np.concatenate([mirror, both], axis=1), axes=(1, 0)).transpose(
-                1, 0, 2
-            )
-    lines = values.reshape(len(STRESSES) * shape[0] * shape[1], shape[2])
+            whole = np.tensordot(angular, np.concatenate([mirror, both], axis=1), axes=(1, 0))
+            values[:, :, index] = whole.transpose(1, 0, 2)
+    lines = values.reshape(-1, shape[2])
     lines.flags.writeable = False
-    return CovarianceTable(gamma, lines, shape, step, direction_step, -half, promised)
+    return CovarianceTable(gamma, lines, shape, step, across_step, direction_step, resolution.n_across, -half, promised)
 
 
 def _harmonic_covariances(
     gamma: float, x: FloatArray, distance: FloatArray, resolution: Resolution
 ) -> list[FloatArray]:
     """Return, for each component, the angular harmonics of the covariance, shape (n_harmonic, n_distance, n_along)."""
-    harmonics = _harmonics_of_tables(gamma, resolution._replace(table_step=0.0, n_direction=0))
+    harmonics = _harmonics_of_tables(gamma, resolution._replace(table_step=0.0, across_step=0.0, n_direction=0))
     cosine, sine = _fourier_weights(x, resolution)
     parts = np.empty((len(STRESSES), resolution.n_harmonic, len(distance), len(x)))
     for m, hankel in enumerate(_hankel_weights(distance, resolution)):
@@ -473,8 +501,14 @@ def _grid(ends: tuple[float, float], step: float) -> FloatArray:
     return ends[0] + step * np.arange(round((ends[1] - ends[0]) / step) + 1, dtype=np.float64)
 
 
+def _scaled(along: FloatArray, turbulence: MannTurbulence) -> FloatArray:
+    """Return separations in L; where all rows are one in memory, they stay so."""
+    rows = along[:1] if len(along) > 1 and along.strides[0] == 0 else along
+    return np.broadcast_to(rows / turbulence.length_scale, along.shape)
+
+
 def _stretch(distance: FloatArray) -> FloatArray:
-    return np.asarray(np.arcsinh(distance / _CORE))
+    return stretched(distance * (1.0 / _CORE))
 
 
 def _odd_mask() -> NDArray[np.bool_]:
