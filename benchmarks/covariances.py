@@ -1,19 +1,16 @@
 """What the covariances between beams add, and what they cost where the air has another coherence.
 
     python benchmarks/covariances.py [RECORDS [more]]
-    python benchmarks/covariances.py campaign [RECORDS]
 
 Records of the second generator (`air.py`) under all defaults, by variances and by covariances: means over the truth,
 how often 90 % intervals hold it, widths over those of the variances, and what the program says of the coherence. The
-table goes to covariances.csv; ``more`` goes on where that ends. With ``campaign``: the mean variances of all records,
-learnt from either, of single cones; to covariances-campaign.csv.
+table goes to covariances.csv; ``more`` goes on where that ends.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from itertools import product
 from pathlib import Path
 
 import air
@@ -47,7 +44,6 @@ SCANS = (
     "wls200s-dbs",
 )
 OF_OTHER = ("4-beam", "6-beam@opening_angle_deg=15", "6-beam@opening_angle_deg=45")
-OF_CAMPAIGNS = ("6-beam@opening_angle_deg=15", "50-beam")
 SPEED = 10.0
 
 
@@ -88,35 +84,8 @@ def _stresses(table: pd.DataFrame, name: str) -> np.ndarray:
     return np.asarray(table[name]).reshape(-1, len(brs.STRESSES))
 
 
-def campaign(n_record: int) -> None:
-    """Write what campaigns learn of the mean ratios vv/uu and ww/uu."""
-    rows: list[dict[str, object]] = []
-    for scan_name, (name, kind) in product(OF_CAMPAIGNS, MANN.items()):
-        scan = brs.load_scan(scan_name)
-        series, truth = air.make_series(scan, kind, n_record=n_record, wind_speed=SPEED, seed=23)
-        records = brs.make_records(series, scan, correlations=True)
-        true = truth["stresses_record"].mean(axis=0)
-        for which in ("variances", "covariances"):
-            began = time.process_time()
-            fit = brs.fit(records, scan, seed=1, information=which, campaign="on", draws="none", sampler="direct")
-            table = fit.campaign()
-            means = table[table["bin"] == "all"].set_index("quantity")
-            found: dict[str, object] = {"air": name, "scan": scan_name, "n_record": n_record, "information": which}
-            for stress, of in zip(brs.STRESSES[:3], true, strict=False):
-                for column in ("mean", "low", "high"):
-                    found[f"{column}_{stress}"] = round(float(means[column][stress]) / of, 3)
-                found[f"decided_{stress}"] = round(float(means["decided"][stress]), 3)
-            rows.append(found | {"fit_seconds": round(time.process_time() - began, 1)})
-            print(rows[-1], flush=True)
-        place = Path(__file__).with_name("covariances-campaign.csv")
-        pd.DataFrame(rows).to_csv(place, index=False, lineterminator="\n")
-
-
 def main() -> None:
     """Write the table."""
-    if sys.argv[1:2] == ["campaign"]:
-        campaign(int(sys.argv[2]) if len(sys.argv) > 2 else 200)
-        return
     n_record = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     scenes = [(name, kind, scan, {}) for scan in SCANS for name, kind in MANN.items()]
     scenes += [(name, kind, scan, more) for name, (kind, more) in OTHER.items() for scan in OF_OTHER]

@@ -90,14 +90,15 @@ def job_of(parts: Sequence[Part], chosen: CampaignRecords, mean: FloatArray, see
         last = first + len(part.batch)
         own = number[(number >= first) & (number < last)] - first
         if len(own):
-            batches.append(part.batch.take(own))
+            # what is uncertain of coherence and mast is so in all records together: their number must not shrink it
+            batches.append(replace(part.batch.take(own), pairs=None))
         first = last
     return CampaignJob(join_batches(batches), some, wind_speed, mean[chosen.record])
 
 
 def learn_campaign(shared: Shared, job: CampaignJob) -> CampaignDone:
-    """Sample the campaign."""
-    options = shared.options
+    """Sample the campaign, of the variances of the beams alone."""
+    options = replace(shared.options, information="variances")
     known, posterior = campaign_posterior(job.batch, shared.noise, options)
     batch, chosen = job.batch.take(known), job.chosen[known]
     found = sample_campaign(

@@ -15,6 +15,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits import campaign_files
 from bayes_rs.fits.campaign_stage import Crew, campaign_in_folder
+from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.fit_folder import ARVIZ_FILE, PRIOR_FILE, RECORDS_FILE, fit_in
 from bayes_rs.fits.fit_object import Fit, exported_summary
 from bayes_rs.fits.fit_options import MOST_KEPT
@@ -184,8 +185,9 @@ def _write_part(folder: ResultFolder, done: Done, part: Part) -> None:
 
 
 def _means(fitted: Fit) -> FloatArray:
-    """Return the posterior means of the stresses, shape (n_record, 6)."""
-    return fitted.of_stresses("mean")["mean"]
+    """Return the posterior means of the stresses by the variances, shape (n_record, 6)."""
+    alone = VARIANCES if VARIANCES in fitted.source.datasets else "summary"
+    return fitted.of_stresses("mean", dataset=alone)["mean"]
 
 
 def _write_exports(folder: ResultFolder, found: Fit, plan: Plan) -> None:
