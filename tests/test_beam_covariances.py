@@ -13,6 +13,9 @@ from scenes import point_scan
 
 import bayes_rs as brs
 from bayes_rs.errors import InputError
+from bayes_rs.fits.digest import digest
+from bayes_rs.fits.fit_options import NoiseOptions
+from bayes_rs.fits.noise_choice import fit_inputs
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import pack_stress, unpack_stress
 from bayes_rs.likelihoods.base import beam_data
@@ -471,6 +474,14 @@ class TestMast:
         means = table["mean"].to_numpy().reshape(-1, 6).mean(axis=0)
         # the mast says the truth in each record, and its scatter is 0.15 of vv and 0.1 of ww
         np.testing.assert_allclose(means[1:3], truth[1:3], rtol=0.1)
+
+    def test_a_mast_elsewhere_is_another_fit(self):
+        """What tells fits apart, for a run that is resumed, knows where the mast stands."""
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        here, there = (brs.wind.with_mast(records, table, position=(0, y, 0)) for y in (0, 50))
+        one, two = (fit_inputs(one, None, NoiseOptions()) for one in (here, there))
+        assert digest(one) != digest(two)
 
     def test_a_cup_beside_tells_uu_alone(self):
         scan, records = self.records(3)

@@ -21,6 +21,7 @@ from bayes_rs.likelihoods.log_normal import LIKELIHOODS
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.options import options_of, to_plain
 from bayes_rs.priors import WeakPrior
+from bayes_rs.records.beam_correlation import correlated_beams
 from bayes_rs.result_folder import ResultFolder
 
 pytestmark = pytest.mark.slow
@@ -233,6 +234,9 @@ OPTION_CASES = {
     "sampler": ({}, {"sampler": "direct"}),
     "likelihood": ({}, {"likelihood": "gamma"}),
     "target_ess": ({}, {"target_ess": 5000}),
+    "information": ({}, {"information": "covariances"}),
+    "coherence_log_sd": ({"information": "covariances"}, {"coherence_log_sd": 0.8}),
+    "mast_log_sd": ({}, {"mast_log_sd": 0.5}),
     "max_extension": ({"target_ess": 1500, "prior": "flat"}, {"max_extension": 0}),
     "monte_carlo_error": ({}, {"monte_carlo_error": 0.05}),
     "instrument_noise": ({}, {"instrument_noise": 0.05}),
@@ -266,6 +270,8 @@ NEEDS = {"instrument_noise_log_sd": {"instrument_noise": 0.05}}
 """Options of the fit that a nuisance needs."""
 OTHER_SCAN = {"probe_length_log_sd": "@probe=zx-tm"}
 """What a nuisance needs of the scan."""
+MAST = " beside a mast"
+"""The scene of what needs one."""
 
 
 def cases(cls, known):
@@ -299,6 +305,15 @@ def parts_of(scan):
     }
 
 
+def with_correlations(records, scan):
+    """Records whose beams go together, all pairs alike."""
+    numbers = correlated_beams(scan)
+    values = np.full((records.sizes["record"], len(numbers) * (len(numbers) - 1) // 2), 0.6)
+    return records.assign(beam_correlation=(("record", "beam_pair"), values)).assign_attrs(
+        correlated_beams=json.dumps(numbers.tolist())
+    )
+
+
 @pytest.fixture(scope="module")
 def scenes_of(tmp_path_factory):
     """For few and many beams: records, scan, noise, and files of records and noise."""
@@ -310,11 +325,21 @@ def scenes_of(tmp_path_factory):
         unsteady = ("record", [0, 1], {"flag_meanings": "not_stationary", "flag_masks": [1]})
         records = records.assign(record_flag=unsteady)
         records = records.assign(stability=("record", np.array(["stable", "neutral"], dtype=object)))
-        records.to_netcdf(folder / "records.nc", engine="h5netcdf")
+        records = with_correlations(records, scan)
         bank = scales(noise)
-        noise.save(folder / "plain.nc")
-        bank.save(folder / "scales.nc")
-        made[name] = (records, scan, {"plain": noise, "scales": bank}, folder)
+        for more in ("", MAST):
+            beside = folder / f"records{more}"
+            beside.mkdir()
+            own = records
+            if more:
+                own = records.assign(
+                    mast_stress=(("record", "stress"), np.tile([1.2, 0.7, 0.4, 0.0, -0.3, 0.0], (2, 1)))
+                )
+                own = own.assign_attrs(mast_position="[-98.0, 0.0, 0.0]")
+            own.to_netcdf(beside / "records.nc", engine="h5netcdf")
+            noise.save(beside / "plain.nc")
+            bank.save(beside / "scales.nc")
+            made[name + more] = (own, scan, {"plain": noise, "scales": bank}, beside)
     return made
 
 
@@ -327,7 +352,7 @@ def check_arrives(scene, base_fits, name, base, changed, tmp_path, kind="plain")
     """A changed value changes the numbers, and they are the same on all three ways; return the folder's settings."""
     records, scan, noise, files = scene
     base, changed = {**SMALL, **base}, {**SMALL, **base, **changed}
-    key = (scan.name, kind, repr(sorted(base.items())))
+    key = (scan.name, files.name, kind, repr(sorted(base.items())))
     if key not in base_fits:
         base_fits[key] = told(brs.fit(records, scan, noise=noise[kind], **base))
     in_memory = brs.fit(records, scan, noise=noise[kind], **changed)
@@ -353,7 +378,8 @@ class TestEveryOptionArrives:
     @pytest.mark.parametrize(("name", "case"), cases(FitOptions, OPTION_CASES))
     def test_of_the_fit(self, scenes_of, base_fits, beams, name, case, tmp_path):
         assert case is not None, f"say in OPTION_CASES what {name} changes"
-        settings = check_arrives(scenes_of[beams], base_fits, name, *case, tmp_path)
+        scene = scenes_of[beams + MAST * (name == "mast_log_sd")]
+        settings = check_arrives(scene, base_fits, name, *case, tmp_path)
         value = case[1][name]
         assert settings[name] == (to_plain(value) if isinstance(value, Nuisances) else json.loads(json.dumps(value)))
 

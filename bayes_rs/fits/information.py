@@ -50,15 +50,16 @@ def variances_alone(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Re
     of_mast = batch.pairs is not None and batch.pairs.mast is not None
     by_variances = batch if of_mast else replace(batch, pairs=None)
     draws = fit_batch(by_variances, noise, replace(options, information="variances"), predict=False)
-    likelihood = make_posterior(batch, noise, options)[0].likelihood
+    posterior = make_posterior(batch, noise, options)[0]
+    likelihood = posterior.likelihood
     if isinstance(likelihood, MixtureLikelihood):
         likelihood = likelihood.parts[len(likelihood.parts) // 2]
     if not isinstance(likelihood, CovarianceLikelihood):
         raise InputError("There are no covariances to compare: fit with information 'covariances'.")
-    flat = draws.chains.stress.reshape(len(batch), -1, draws.chains.stress.shape[-1])
+    flat = draws.chains.coordinate.reshape(len(batch), -1, draws.chains.coordinate.shape[-1])
     some = flat[:, :: max(1, flat.shape[1] // _N_DRAW)]
     n_view = likelihood.noise.shape[1]
-    residual = likelihood.residual(some, _median_noise(batch, options, some.shape[:2]))[:, :, n_view:]
+    residual = likelihood.residual(*posterior.seen(some))[:, :, n_view:]
     mean = residual.mean(axis=1)
     centred = residual - mean[:, np.newaxis]
     spread = centred.swapaxes(-1, -2) @ centred / (some.shape[1] - 1.0) + np.eye(mean.shape[-1])
@@ -66,10 +67,3 @@ def variances_alone(batch: Batch, noise: Noise, options: FitOptions) -> tuple[Re
     square = np.sum(mean * np.linalg.solve(spread, mean[..., np.newaxis])[..., 0], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return draws, {PAIRS_MISFIT: np.where(n_pair > 0, square / n_pair, np.nan), N_PAIR: n_pair}
-
-
-def _median_noise(batch: Batch, options: FitOptions, shape: tuple[int, ...]) -> FloatArray | None:
-    """Return the instrument's noise where it is uncertain, at its median, shape (n_record, n_draw)."""
-    if options.nuisances.instrument_noise_log_sd == 0.0:
-        return None
-    return np.broadcast_to(np.asarray(batch.median_noise(options)), shape)

@@ -42,7 +42,9 @@ _OF_SPECTRA = (
     "spectral_length_scale_log_sd",
     "other_length_scale",
 )
-_SAID = ("duration", "velocity_limit", LENGTH_REPORT, "instrument_noise_report")
+_SAID = (
+    "duration", "velocity_limit", LENGTH_REPORT, "instrument_noise_report", "correlated_beams", "mast_position",
+)  # fmt: skip
 """Attributes of records that numbers depend on."""
 _SAME_YAW = 1e-6  # rad; both come from the same means
 Say = Callable[[str], None]
