@@ -115,7 +115,9 @@ class TestReached:
         for table in ("summary", "posterior"):
             left = whole.table(table).set_index("record").loc[some].reset_index(drop=True)
             right = part.table(table).drop(columns="record")
-            assert left.equals(right[left.columns])
+            # the means of the beams are compared with theory at the middle direction of all records
+            columns = left.columns.drop("beams_probability", errors="ignore")
+            assert left[columns].equals(right[columns])
 
     def test_a_record_that_cannot_reach_it_is_flagged(self, sampler):
         fit = brs.fit(records(3), SCAN, seed=1, sampler=sampler, monte_carlo_error=0.02, max_extension=1, **PLAIN)

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
 
 _LARGEST = 1.0
@@ -75,6 +75,10 @@ def intensity_reference(
 def _table(source: str | Path | pd.DataFrame | xr.Dataset, duration: float) -> tuple[pd.DataFrame, str]:
     if isinstance(source, xr.Dataset):
         return _of_sonic(source), "that was given"
+    if not isinstance(source, (str, Path, pd.DataFrame)):
+        raise InputError(
+            f"Invalid reference {in_short(source)}: give a file, a table, or what bayes_rs.wind.sonic_stresses returns."
+        )
     if not isinstance(source, pd.DataFrame) and _is_series(Path(source)):
         from bayes_rs.readers.toa5 import read_sonic  # noqa: PLC0415 - a table needs no reader
         from bayes_rs.wind.sonic import sonic_stresses  # noqa: PLC0415 - as above

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
@@ -244,12 +244,12 @@ def option_parts(options: FitOptions) -> dict[str, Any]:
 
 def number_versions() -> dict[str, str]:
     """Return the versions of the packages whose numbers are in the results."""
-    return {name: _version_of(name) for name in _NUMBERS_FROM}
+    return {name: _version_of(name, version) for name in _NUMBERS_FROM}
 
 
 @cache
-def _version_of(package: str) -> str:
-    return version(package)  # looked up in the package's files
+def _version_of(package: str, look_up: Callable[[str], str]) -> str:
+    return look_up(package)  # in the package's files
 
 
 def software() -> dict[str, Any]:
@@ -257,7 +257,11 @@ def software() -> dict[str, Any]:
     return {
         "bayes_rs": __version__,
         "python": platform.python_version(),
-        "packages": {**number_versions(), "xarray": _version_of("xarray"), "pandas": _version_of("pandas")},
+        "packages": {
+            **number_versions(),
+            "xarray": _version_of("xarray", version),
+            "pandas": _version_of("pandas", version),
+        },
     }
 
 

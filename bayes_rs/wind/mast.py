@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayes_rs._validation import FloatArray, check_array
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.records.layout import check_layout
 from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
@@ -64,8 +64,10 @@ def with_mast(records: xr.Dataset, mast: xr.Dataset | pd.DataFrame | str | Path,
         table: pd.DataFrame | str | Path = pd.DataFrame(
             {"time": mast["time"].values, **dict(zip(STRESSES, mast["stress"].values.T, strict=True))}
         )
-    else:
+    elif isinstance(mast, (str, Path, pd.DataFrame)):
         table = mast
+    else:
+        raise InputError(f"Invalid mast {in_short(mast)}: give a file, a table, or what sonic_stresses returns.")
     stress = _matched(table, records)
     return records.assign(
         {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
