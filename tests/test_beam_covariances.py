@@ -533,6 +533,15 @@ class TestMast:
             brs.fit(beside, scan, seed=1, noise=noise, nuisances=brs.Nuisances(yaw_sd_deg=2.0))
 
 
+class TestBudget:
+    def test_the_coherence_is_a_source_of_a_fit_that_leans_on_it(self, both):
+        _, _, fit = both
+        table = brs.budget(fit, records=[0, 1])
+        share = table[table["source"] == "coherence"].set_index("stress")["share"]
+        assert share["uu"] > 0.0
+        assert "mast elsewhere" not in table.attrs["left_out"]
+
+
 class TestReport:
     def test_the_page_shows_both_and_judges_the_coherence(self, both, tmp_path):
         _, _, fit = both

@@ -16,7 +16,7 @@ from bayes_rs._validation import FloatArray, as_items, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.batch import Batch
 from bayes_rs.fits.budget_moments import OVER_CASES, Moments, switched_moments
-from bayes_rs.fits.budget_sources import SWITCHED, sources_of
+from bayes_rs.fits.budget_sources import possible_sources, sources_of
 from bayes_rs.fits.budget_table import budget_table, first_order, variances
 from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.derived import check_derived
@@ -235,7 +235,7 @@ def _budget_of(
     data, prior = (first_order(part, slice(None)) for part in (found.by_data, found.by_prior))
     least = variances(found, slice(None))[-1]
     whole.attrs = {
-        "left_out": [name for name in SWITCHED if name not in sources],
+        "left_out": [name for name in possible_sources(batch, options) if name not in sources],
         "first_order": dict(zip(names, ((data + prior).mean(axis=0) / least.mean(axis=0)).tolist(), strict=True)),
         "least_effective": float(found.effective.min()),
         "n_record": len(number),

@@ -31,6 +31,13 @@ SWITCHED = (
 """What can be switched off, in the order of the table."""
 
 
+def possible_sources(batch: Batch, options: FitOptions) -> list[str]:
+    """Return which sources a fit of such data could count, of `SWITCHED`."""
+    mast = batch.pairs is not None and batch.pairs.mast is not None
+    there = {COHERENCE: options.information == "covariances", MAST_RATIO: mast}
+    return [name for name in SWITCHED if there.get(name, True)]
+
+
 def sources_of(batch: Batch, noise: Noise, options: FitOptions) -> list[str]:
     """Return which sources a fit of these data counts, of `SWITCHED`."""
     uncertain = options.nuisances
