@@ -174,7 +174,7 @@ def under_campaign(shared: Shared, prior: CampaignPrior) -> Shared:
         campaign_group=None,
         campaign_unsteady=False,
     )
-    return replace(shared, options=options, keep_draws=False)
+    return replace(shared, options=options, keep_draws=False, alone=False)
 
 
 def fit_under_campaign(shared: Shared, part: Part) -> Done:

@@ -223,6 +223,11 @@ class FitOptions:
         check_non_negative(self.mast_log_sd, what="mast_log_sd", unit="")
         if self.information == "variances":
             return
+        if self.likelihood != "log-normal":
+            raise InputError(
+                f"Invalid likelihood {self.likelihood!r} with information 'covariances': only with 'log-normal' is it "
+                "known how variances and correlations scatter together."
+            )
         if self.target == "sonic":
             raise InputError(
                 "Invalid target 'sonic' with information 'covariances': how a sonic scatters with the correlations "

@@ -64,6 +64,8 @@ class Shared:
         Whether the draws are kept.
     beam : ndarray of int, shape (n_beam,)
         Numbers of the beams.
+    alone : bool
+        Whether the records are sampled by their variances alone, too.
     """
 
     noise: Noise
@@ -74,6 +76,7 @@ class Shared:
     prior_covariances: tuple[FloatArray, FloatArray]
     keep_draws: bool
     beam: NDArray[np.int64]
+    alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
         "summary": _summary_table(found.summary, part, flag, shared.options),
         "posterior": _posterior_table(found, part, flag),
     }
-    if shared.options.information == "covariances":
+    if shared.alone:
         tables[VARIANCES] = _summary_table(found.alone, part, flag, shared.options)
     if shared.keep_draws:
         tables["draws"] = _joined([_draws_table(*one, shared) for one in kept], shared)
@@ -235,7 +238,7 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         chains.stress, options.derived, batch.wind_speed[rows], options.prob, options.interval, known
     )
     found.put(found.summary, rows, summary)
-    if options.information == "covariances":
+    if shared.alone:
         _put_alone(found, rows, known, batch, shared)
     error = monte_carlo_error(summary)
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))

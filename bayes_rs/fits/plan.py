@@ -92,7 +92,7 @@ class Plan:
     @property
     def datasets(self) -> tuple[str, ...]:
         """Names of the tables that every part has."""
-        alone = (VARIANCES,) if self.shared.options.information == "covariances" else ()
+        alone = (VARIANCES,) if self.shared.alone else ()
         return ("summary", "posterior", *alone, *(("draws", "predicted") if self.shared.keep_draws else ()))
 
 
@@ -150,6 +150,7 @@ def plan_fit(
         prior_covariances=covariances,
         keep_draws=options.keeps_draws(len(batch)),
         beam=scan.beam,
+        alone=options.information == "covariances",
     )
     run = {
         **software(),

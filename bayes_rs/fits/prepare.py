@@ -127,6 +127,11 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
 
 def _check_mast(records: xr.Dataset, options: FitOptions) -> None:
     """Refuse options that do not go with a mast beside the beams."""
+    if MAST in records and options.likelihood != "log-normal":
+        raise InputError(
+            f"Invalid likelihood {options.likelihood!r} with a mast beside the beams: only with 'log-normal' is it "
+            "known how both scatter together."
+        )
     turned = [name for name in options.nuisances.names if name != "instrument_noise"]
     if MAST in records and (turned or options.target == "sonic"):
         what = f"target {options.target!r}" if not turned else f"an uncertain {turned[0]}"
