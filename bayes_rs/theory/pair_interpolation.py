@@ -251,6 +251,7 @@ class _Difference(NamedTuple):
         return np.asarray((values - self.others)[index] / self.unit[index])
 
     def value(self, told: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+        # no square of a norm is below zero: this only moves an interpolated one towards what it stands for
         return np.maximum(self.others[index] + told * self.unit[index], 0.0)
 
 
@@ -261,13 +262,14 @@ class _Smooth:
         self.places, self.values, self.middle = places, values, float(np.mean(values))
         covariance = _matern(places, places)
         covariance[np.diag_indices(len(places))] += _NUGGET
-        self.covariance = covariance
-        self.weights = scipy.linalg.solve(covariance, values - self.middle, assume_a="pos")
+        self.root = scipy.linalg.cholesky(covariance, lower=True)
+        self.weights = scipy.linalg.cho_solve((self.root, True), values - self.middle)
         self.single = _SINGLE * np.sum(np.abs(self.weights)) < _LARGEST_ROUNDING
 
     def left_out(self) -> FloatArray:
-        """Return what each value would be told to be by the others."""
-        return np.asarray(self.values - self.weights / np.diag(scipy.linalg.inv(self.covariance)))
+        """Return what each value would be told to be by the others: v − w/diag(C⁻¹), with the weights w = C⁻¹v."""
+        half = scipy.linalg.solve_triangular(self.root, np.eye(len(self.root)), lower=True)
+        return np.asarray(self.values - self.weights / np.sum(half**2, axis=0))
 
     def at(self, places: FloatArray) -> FloatArray:
         """Return its values at other places."""
