@@ -73,7 +73,10 @@ def row(name: str, kind: object, scan_name: str, n_record: int, **changes: objec
             }
         found |= {
             "misfit": round(coherence.misfit, 3),
+            "pattern": round(coherence.pattern, 3),
             "doubted": coherence.doubted,
+            "beams_doubted": round(fit.flags["beams_disagree"] / n_record, 3),
+            "beams_together": len(fit.run.get("beams", {}).get("together", [])),
             "fit_seconds": round(spent, 1),
         }
         rows.append(found)

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import scipy
 
-from bayes_rs.fits.columns import N_PAIR, PAIRS_MISFIT, VARIANCES
+from bayes_rs.fits.columns import N_PAIR, PAIRS_MISFIT, PATTERN, VARIANCES, pattern_columns
 from bayes_rs.fits.fit_data import FitData
 
 MOST_MISFIT = 1.1
 """Mean square of what variances leave unexplained of the covariances, over what is expected, that is not believed."""
+SAME_FOR_ALL = 100
+"""Records whose mean counts in full, and no more: a pattern of a tenth of one record's scatter is let be."""
 _LEVEL = 1e-3  # probability of a sum that is as large by chance
 
 
@@ -30,16 +32,27 @@ class Coherence:
         Of a sum as large as that, if it does.
     share : float
         Share of the records with a probability below 1 %.
+    pattern : float
+        Square of the mean of what differs, by pairs of beams, over what is expected of so many records at most: 1 or
+        below where the model's coherence holds.
+    pattern_probability : float
+        Of a pattern as large as that, or larger, at most.
     """
 
     n_record: int
     misfit: float
     probability: float
     share: float
+    pattern: float
+    pattern_probability: float
 
     @property
     def doubted(self) -> bool:
         """Whether the covariances speak against the model's coherence."""
+        return self._scatters or self.pattern_probability < _LEVEL
+
+    @property
+    def _scatters(self) -> bool:
         return self.misfit > MOST_MISFIT and self.probability < _LEVEL
 
     def in_words(self) -> str:
@@ -49,9 +62,14 @@ class Coherence:
             if self.doubted
             else "they do not speak against the model's coherence"
         )
+        same = (
+            f", and differ from it in the same way in all of them ({self.pattern:.2f} times what chance does)"
+            if self.pattern_probability < _LEVEL
+            else ""
+        )
         return (
             f"the covariances between beams scatter {self.misfit:.2f} times as expected about what the variances' "
-            f"stresses make them ({self.n_record} record{'s' * (self.n_record != 1)}): {verdict}"
+            f"stresses make them ({self.n_record} record{'s' * (self.n_record != 1)}){same}: {verdict}"
         )
 
 
@@ -73,9 +91,31 @@ def coherence_of(fit: FitData) -> Coherence | None:
     if not len(count):
         return None
     chi2 = scipy.stats.chi2
+    pattern, n_pair = _pattern_of(fit)
     return Coherence(
         n_record=len(count),
         misfit=float(square.sum() / count.sum()),
         probability=float(chi2.sf(square.sum(), count.sum())),
         share=float(np.mean(chi2.sf(square, count) < 0.01)),
+        pattern=pattern / n_pair if n_pair else np.nan,
+        pattern_probability=float(chi2.sf(pattern, n_pair)) if n_pair else np.nan,
     )
+
+
+def _pattern_of(fit: FitData) -> tuple[float, int]:
+    """Return the square of the mean of what differs, times the number of records that count, and the number of pairs.
+
+    See `bayes_rs.fits.information.variances_alone`. Zero and zero where no record has all pairs.
+    """
+    names = pattern_columns(fit.scan.n_beam)
+    total, n_record, of_pair = np.zeros(len(names)), 0, np.zeros(len(names), dtype=np.bool_)
+    for piece in fit.source.pieces(PATTERN, names):
+        values = piece.to_numpy(dtype=np.float64)
+        known = np.isfinite(values).any(axis=1)
+        total += np.nan_to_num(values[known]).sum(axis=0)
+        n_record += int(known.sum())
+        of_pair |= np.isfinite(values).any(axis=0)
+    if not n_record:
+        return 0.0, 0
+    mean = total / n_record
+    return float(min(n_record, SAME_FOR_ALL) * mean @ mean), int(of_pair.sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.records.beam_correlation import MOST_BEAMS
 
 ALONG = tuple(f"direction_{number}" for number in range(1, len(STRESSES) + 1))
 """Columns with the contraction along each direction of R; the directions themselves stand in `run.json`."""
@@ -33,5 +34,13 @@ TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
 """Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""
 VARIANCES = "variances_summary"
 """Name of the table with the records by their variances alone, of a fit that uses covariances."""
+PATTERN = "pairs_pattern"
+"""Name of the table with each record's part of what differs in all records between covariances and variances."""
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
+
+
+def pattern_columns(n_beam: int) -> list[str]:
+    """Return the columns with numbers of the table `PATTERN`: one for each pair of beams that can be correlated."""
+    n_used = min(n_beam, MOST_BEAMS)
+    return [f"pair_{number}" for number in range(1, n_used * (n_used - 1) // 2 + 1)]

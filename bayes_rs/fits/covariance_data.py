@@ -10,7 +10,7 @@ from bayes_rs.fits.covariance_states import PairData, RecordMoments, record_mome
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.likelihoods.base import BeamData, beam_data
 from bayes_rs.likelihoods.covariances import CovarianceLikelihood, ViewData, covariance_forms, covariance_likelihood
-from bayes_rs.theory.beam_covariances import component_weights, view_pairs
+from bayes_rs.theory.beam_covariances import COHERENCE, component_weights, view_pairs
 
 _AXES = "uvw"  # what a mast sees
 
@@ -69,8 +69,8 @@ def pair_likelihood(
         - ln(1 + v) between all ln y and ln(1 + w) of each, as variances have it; z scatters more by the factor by
           which the variances of ln y grow;
         - what the instrument's noise does to ln y and z if its variance is another one;
-        - what errors of the scales of the coherence do: with the slopes s_k of the data and standard deviations σ_k,
-          Σ_k σ_k² s_k s_kᵀ, linear in the logarithms of the scales.
+        - what errors of the scales of the coherence and of Γ do: with the slopes s_k of the data and standard
+          deviations σ_k, Σ_k σ_k² s_k s_kᵀ, linear in the logarithms.
     """
     moments = record_moments(pairs, wind_speed, yaw, *flow, length_log_sd)
     beams = beam_data(variance, used, gain, offset, place)
@@ -90,20 +90,25 @@ def pair_likelihood(
         bias[:, pair] *= grown[:, None]
     directions = moments.direction[:, first], moments.direction[:, second]
     correlation = _correlation(moments, *directions)[:, pair]
+    systematic = []
     if noise_sd is not None:
         of_own = np.zeros((n_record, n_view))
         of_own[:, :n_beam] = noise_sd[:, pairs.column]
         of_pair = -0.5 * correlation / (1.0 - correlation**2)
         shift = np.concatenate([of_own, of_pair * (of_own[:, first[pair]] + of_own[:, second[pair]])], axis=1)
-        covariance += shift[:, :, None] * shift[:, None, :]
+        systematic.append(shift)
     if probe_sd is not None:
-        of_own = probe_sd[:, pairs.column]
-        covariance[:, :n_beam, :n_beam] += of_own[:, :, None] * of_own[:, None, :]
+        shift = np.zeros((n_record, len(first)))
+        shift[:, :n_beam] = probe_sd[:, pairs.column]
+        systematic.append(shift)
+    for shift in systematic:
+        covariance += shift[:, :, None] * shift[:, None, :]
     covariance *= options.nuisances.inflation
+    systematic = [np.sqrt(options.nuisances.inflation) * shift for shift in systematic]
     bias[:, pair] *= options.nuisances.inflation
     bias[:, own] = -0.5 * np.einsum("rdd->rd", covariance)[:, own]
-    sd = np.full((n_record, 3), options.coherence_log_sd)
-    sd[:, 0] = 0.0 if length_log_sd is None else length_log_sd
+    sd = np.full((n_record, len(COHERENCE)), options.coherence_log_sd)
+    sd[:, COHERENCE.index("length_scale")] = 0.0 if length_log_sd is None else length_log_sd
     spread = moments.slope * sd[:, None, :]
     covariance += spread @ spread.swapaxes(-1, -2)
     covariance[:, n_beam:n_view, n_beam:n_view] += options.mast_log_sd**2
@@ -114,6 +119,7 @@ def pair_likelihood(
         covariance_forms(*directions, moments.tensor, reference),
         covariance,
         bias,
+        np.concatenate([spread, *(shift[:, :, None] for shift in systematic)], axis=-1),
         dof=options.nuisances.inflation_dof,
         turn=turn,
     )

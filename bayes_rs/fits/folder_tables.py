@@ -21,10 +21,12 @@ from bayes_rs.fits.columns import (
     COVARIANCES,
     HYPER,
     PAIRS,
+    PATTERN,
     PER_RECORD,
     SUMMARY,
     TABLE,
     VARIANCES,
+    pattern_columns,
 )
 from bayes_rs.fits.flags import UNFITTED
 from bayes_rs.fits.run_file import RunOfFit
@@ -34,7 +36,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.layouts import check_table
 from bayes_rs.result_folder import ResultFolder
 
-DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY, VARIANCES)
+DATASETS = ("summary", "posterior", "draws", "predicted", SUMMARY, VARIANCES, PATTERN)
 """The tables in parts."""
 _WHERE = {"record": "whole", "time": "time"}
 _DRAW = {"record": "whole", "chain": "whole", "draw": "whole"}
@@ -161,6 +163,8 @@ class FolderTables:
     def _layout(self, dataset: str) -> dict[str, str]:
         if dataset == "posterior":
             return _POSTERIOR
+        if dataset == PATTERN:
+            return {**_WHERE, **dict.fromkeys(pattern_columns(len(self.beams)), "number")}
         if dataset == "draws":
             return {**_DRAW, **dict.fromkeys((*STRESSES, *self.run.nuisance_names), "amount")}
         if dataset == "predicted":
@@ -187,7 +191,7 @@ class FolderTables:
 
     def _check_rows(self, dataset: str, table: pd.DataFrame, expected: NDArray[np.int64]) -> None:
         """Check that a table has the rows of the expected records, all of them, in their order, and no others."""
-        if dataset == "posterior":
+        if dataset in ("posterior", PATTERN):
             record = expected
         elif dataset in ("draws", "predicted"):
             n_draw = self.run.n_draw if dataset == "draws" else self.run.n_predicted

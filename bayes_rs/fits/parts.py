@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import NotPositiveDefiniteError
 from bayes_rs.fits.batch import Batch, RecordDraws, fit_batch, join_draws
-from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, CORRELATED, COVARIANCES, PAIRS, PER_RECORD, VARIANCES
+from bayes_rs.fits.columns import (
+    ALONG,
+    ALONG_SHAPE,
+    CORRELATED,
+    COVARIANCES,
+    PAIRS,
+    PATTERN,
+    PER_RECORD,
+    VARIANCES,
+    pattern_columns,
+)
 from bayes_rs.fits.direction_table import contraction_along, covariance_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
@@ -146,6 +156,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
     }
     if shared.alone:
         tables[VARIANCES] = _summary_table(found.alone, part, flag, shared.options)
+        tables[PATTERN] = _pattern_table(found.pattern, part, len(shared.beam))
     if shared.keep_draws:
         tables["draws"] = _joined([_draws_table(*one, shared) for one in kept], shared)
         tables["predicted"] = _joined([_predicted_table(*one, shared) for one in kept], shared, predicted=True)
@@ -174,6 +185,7 @@ class _Columns:
     summary: dict[str, FloatArray] = field(default_factory=dict)
     alone: dict[str, FloatArray] = field(default_factory=dict)
     numbers: dict[str, FloatArray] = field(default_factory=dict)
+    pattern: dict[str, FloatArray] = field(default_factory=dict)
     sampler: NDArray[Any] = field(init=False)
     outside: NDArray[np.bool_] = field(init=False)
 
@@ -268,7 +280,7 @@ def _put_alone(
 ) -> None:
     """Enter what the variances of some records say by themselves, and how well they foretell the covariances."""
     options = shared.options
-    draws, misfit = variances_alone(batch.take(rows), shared.noise, options)
+    draws, misfit, pattern = variances_alone(batch.take(rows), shared.noise, options)
     chains = draws.chains
     decided, _ = what_data_decided(chains.stress, shared.room)
     diagnosed = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat, "decided": decided}
@@ -282,6 +294,16 @@ def _put_alone(
     )
     found.put(found.alone, rows, summary)
     found.put(found.numbers, rows, misfit)
+    found.put(found.pattern, rows, {PATTERN: pattern})
+
+
+def _pattern_table(columns: dict[str, FloatArray], part: Part, n_beam: int) -> pd.DataFrame:
+    """Lay out each record's part of the pattern, one column a pair; NaN where there is none."""
+    names = pattern_columns(n_beam)
+    values = np.full((len(part.batch), len(names)), np.nan)
+    if columns and columns[PATTERN].shape[1] <= len(names):  # more pairs are those of a mast, which has no pattern
+        values[:, : columns[PATTERN].shape[1]] = columns[PATTERN]
+    return pd.DataFrame({"record": part.record, "time": part.time, **dict(zip(names, values.T, strict=True))})
 
 
 def _posterior_table(found: _Columns, part: Part, flag: NDArray[np.int64]) -> pd.DataFrame:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs._version import __version__
 from bayes_rs.fits.batch import Batch
-from bayes_rs.fits.columns import N_PRIOR_DRAW, VARIANCES
+from bayes_rs.fits.columns import N_PRIOR_DRAW, PATTERN, VARIANCES
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.direction_table import prior_covariances, scan_directions
 from bayes_rs.fits.fit_options import MOST_KEPT, FitOptions
@@ -92,7 +92,7 @@ class Plan:
     @property
     def datasets(self) -> tuple[str, ...]:
         """Names of the tables that every part has."""
-        alone = (VARIANCES,) if self.shared.alone else ()
+        alone = (VARIANCES, PATTERN) if self.shared.alone else ()
         return ("summary", "posterior", *alone, *(("draws", "predicted") if self.shared.keep_draws else ()))
 
 

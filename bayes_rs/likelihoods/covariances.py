@@ -40,6 +40,8 @@ class CovarianceLikelihood(NormalLikelihood):
         What makes the data independent, of variance 1; rows that a record does not have are zero.
     log_normalizer : ndarray, shape (n_record,)
         Log of the density's constant factor.
+    systematic : ndarray, shape (n_record, n_datum, n_error)
+        What errors of one standard deviation that may be the same in all records do to the whitened data.
 
     Notes
     -----
@@ -61,6 +63,7 @@ class CovarianceLikelihood(NormalLikelihood):
     datum: FloatArray
     whitening: FloatArray
     log_normalizer: FloatArray
+    systematic: FloatArray
     n_datum: NDArray[np.int64]
     turn: FloatArray | None = None
     dof: float = np.inf
@@ -128,6 +131,7 @@ def covariance_likelihood(
     form: FloatArray,
     covariance: FloatArray,
     bias: FloatArray,
+    systematic: FloatArray,
     *,
     dof: float = np.inf,
     turn: FloatArray | None = None,
@@ -144,6 +148,9 @@ def covariance_likelihood(
         From `covariance_forms`.
     covariance, bias : ndarray, shapes (n_record, n_datum, n_datum) and (n_record, n_datum)
         Of ln y and z.
+    systematic : ndarray, shape (n_record, n_datum, n_error)
+        What errors of one standard deviation that may be the same in all records, and are counted in `covariance`, do
+        to the data.
     dof : float
         Degrees of freedom of the noise, as in `log_normal_likelihood`.
     turn : ndarray, shape (n_record, 6, 6), optional
@@ -190,6 +197,7 @@ def covariance_likelihood(
         datum=datum,
         whitening=whitening,
         log_normalizer=log_normalizer(n_datum, log_determinant, float(dof)),
+        systematic=whitening @ systematic,
         n_datum=n_datum,
         turn=turn,
         place=beams.place,

@@ -19,9 +19,13 @@ from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_gram, toeplitz_trace
 from bayes_rs.turbulence.two_point import INDEX_PAIRS, velocity_covariance
 
-COHERENCE = ("length_scale", "lateral_scale", "vertical_scale")
-"""What the coherence between two beams depends on: the size of the eddies, and their extent along y and along z."""
-_STEP = 0.1  # of the logarithm of a scale, for the slopes of the data
+COHERENCE = ("length_scale", "lateral_scale", "vertical_scale", "gamma")
+"""What the coherence between two beams depends on: the size of the eddies, their extent along y and along z, and Γ.
+
+With another Γ the spectra of the same records tell another length scale, which moves with it here."""
+_STEP = 0.1  # of the logarithm of a scale or of Γ, for the slopes of the data
+_ACROSS = {"lateral_scale": (1.0, 0.0), "vertical_scale": (0.0, 1.0)}  # what it stretches, along y and along z
+_FLOW = {"length_scale": (1.0, 0.0), "gamma": (-1.5, 1.0)}  # of ln L and ln Γ: L is what the spectrum of u tells
 _TOLERANCE = 1e-3  # of uu: a hundredth of the scatter of a correlation
 _GROWTH = 0.25  # of the distances of lags that are calculated; the others lie between
 
@@ -103,8 +107,9 @@ class CovarianceMoments(NamedTuple):
     bias : ndarray, shape (n_datum,)
         By how much the mean of ln y differs from ln E[y], and that of z from the artanh of the expected covariance over
         the root of the expected variances.
-    slope : ndarray, shape (n_datum, 3)
+    slope : ndarray, shape (n_datum, 4)
         By how much the means of the data change with the logarithms of `COHERENCE`, for the same stresses; of points.
+        With Γ the length scale goes as Γ^(−3/2), so that the spectrum of u stays where it is.
     """
 
     tensor: FloatArray
@@ -189,14 +194,19 @@ def covariance_moments(
     slope = np.empty((len(tensor), len(COHERENCE)))
     # a probe volume changes the data themselves, but hardly by how much they change with a scale
     setting = _Setting(views.as_points(), wind_speed, n_sample, tolerance)
-    for column, across in enumerate((None, (1.0, 0.0), (0.0, 1.0))):
+    for column, name in enumerate(COHERENCE):
         ends = []
         for sign in (-1.0, 1.0):
-            if across is None:
-                flow = replace(turbulence, length_scale=turbulence.length_scale * np.exp(sign * _STEP))
+            if name in _ACROSS:  # eddies that reach farther across are beams that are closer
+                moved, own = setting.lines(turbulence, np.exp(-sign * _STEP * np.array(_ACROSS[name]))), record
+            else:
+                by = sign * _STEP * np.array(_FLOW[name])
+                flow = replace(
+                    turbulence,
+                    length_scale=turbulence.length_scale * np.exp(by[0]),
+                    gamma=turbulence.gamma * np.exp(by[1]),
+                )
                 moved, own = setting.lines(flow), setting.at_a_point(flow)
-            else:  # eddies that reach farther across are beams that are closer
-                moved, own = setting.lines(turbulence, np.exp(-sign * _STEP * np.array(across))), record
             ends.append(_means(views, moved @ setting.nodes.trace / n_sample, own))
         slope[:, column] = (ends[1] - ends[0]) / (2.0 * _STEP)
     covariance, bias = _data_moments(views, lines @ setting.nodes.weights, n_sample)
