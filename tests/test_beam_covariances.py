@@ -23,6 +23,8 @@ from bayes_rs.likelihoods.covariances import ViewData, covariance_forms, covaria
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
 from bayes_rs.records.beam_correlation import MOST_BEAMS, correlated_beams, pair_columns
 from bayes_rs.theory.beam_covariances import Views, component_weights, covariance_moments, view_pairs
+from bayes_rs.turbulence.mann import MannTurbulence
+from bayes_rs.turbulence.one_point import one_point_spectra
 from bayes_rs.turbulence.two_point import velocity_covariance
 
 FLOW = brs.load_turbulence("fu-2022")
@@ -105,8 +107,31 @@ class TestTheory:
     def test_larger_eddies_are_closer_beams(self):
         """The slopes with lateral and vertical scale are those of a scan whose points are closer together."""
         moments = moments_of()
-        assert np.all(moments.slope[SCAN.n_beam :, 1:] > -0.02)
+        assert np.all(moments.slope[SCAN.n_beam :, 1:3] > -0.02)
         assert np.max(moments.slope[SCAN.n_beam :, 1]) > 0.1
+
+    def test_another_anisotropy_comes_with_the_length_scale_that_the_spectra_then_tell(self):
+        """The slope with ln Γ is that of the data of other flows, and these have the same spectrum of u."""
+        moments = moments_of()
+        flows = [
+            MannTurbulence(1.0, FLOW.length_scale * np.exp(-1.5 * step), FLOW.gamma * np.exp(step))
+            for step in (-0.1, 0.1)
+        ]
+        low, high = (data_means(moments_of(flow=flow), SCAN.at_yaw(0.0)) for flow in flows)
+        np.testing.assert_allclose(
+            moments.slope[SCAN.n_beam :, 3], (high - low)[SCAN.n_beam :] / 0.2, atol=TABLES / 0.2, rtol=0.0
+        )
+        wave = np.geomspace(1e-3, 1e-1, 20)
+
+        def shape(flow):
+            values = one_point_spectra(wave, dissipation=1.0, length_scale=flow.length_scale, gamma=flow.gamma)[:, 0]
+            spectrum = np.log(wave * values)
+            return spectrum - spectrum.mean()
+
+        own = shape(replace(FLOW, dissipation=1.0))
+        far = MannTurbulence(1.0, FLOW.length_scale * 0.72**-1.5, FLOW.gamma * 0.72)
+        fixed = replace(far, length_scale=FLOW.length_scale)
+        assert np.std(shape(far) - own) < 0.3 * np.std(shape(fixed) - own)
 
     def test_the_dissipation_scales_tensor_and_record_alone(self):
         one, other = moments_of(), moments_of(flow=replace(FLOW, dissipation=2.0 * FLOW.dissipation))
@@ -180,7 +205,8 @@ class TestLikelihood:
         gain = np.broadcast_to(design_matrix(direction), (n_record, n, 6))
         first, second = view_pairs(n)
         form = covariance_forms(direction[first], direction[second], moments.tensor, moments.record)
-        alike = [np.broadcast_to(one, (n_record, *one.shape)) for one in (form, moments.covariance, moments.bias)]
+        parts = (form, moments.covariance, moments.bias, moments.slope)
+        alike = [np.broadcast_to(one, (n_record, *one.shape)) for one in parts]
         own = np.full(variance.shape, noise)
         like = covariance_likelihood(
             beam_data(variance, used, gain, noise), ViewData(variance, used, correlation, own), *alike
@@ -351,6 +377,25 @@ class TestFit:
         assert fit.coherence().doubted
         assert "speak against the model's coherence" in fit.headline().doubtful
 
+    def test_what_differs_in_all_records_alike_is_told(self, both):
+        """A tenth of a standard deviation, up and down by turns: one record does not tell it, and 40 do."""
+        scan, records, fit = both
+        own = fit.coherence()
+        # the mean of the squares of 15 numbers of variance 1 at most
+        assert own.pattern < 2.0
+        assert own.pattern_probability > 0.01
+        moved = records.copy()
+        z = np.arctanh(records["beam_correlation"].values)
+        z += 0.1 * z.std(axis=0) * np.where(np.arange(z.shape[1]) % 2, 1.0, -1.0)
+        moved["beam_correlation"] = records["beam_correlation"].copy(data=np.tanh(z))
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        found = brs.fit(moved, scan, seed=1, information="covariances", campaign="off", noise=noise).coherence()
+        assert found.misfit < 1.3
+        assert found.share < 0.2
+        assert found.pattern_probability < 1e-5
+        assert found.doubted
+        assert "in the same way in all of them" in found.in_words()
+
     def test_a_folder_holds_both(self, both, tmp_path):
         scan, records, _ = both
         written = brs.fit(
@@ -393,6 +438,19 @@ class TestFit:
         fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
         assert fit.n_fitted == 2
         assert fit.table("posterior")["n_pair"].tolist() == [10.0, 10.0]
+        pattern = fit.table("pairs_pattern").filter(like="pair_").to_numpy()
+        assert np.isfinite(pattern).sum(axis=1).tolist() == [10, 10]
+
+    def test_a_record_without_all_pairs_has_no_part_in_the_pattern(self, both):
+        scan, records, _ = both
+        some = records.isel(record=[0, 1, 2]).copy(deep=True)
+        some["beam_correlation"][1, 4] = np.nan
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
+        pattern = fit.table("pairs_pattern").filter(like="pair_").to_numpy()
+        assert np.isfinite(pattern).all(axis=1).tolist() == [True, False, True]
+        assert fit.table("posterior")["n_pair"].tolist() == [15.0, 14.0, 15.0]
+        assert fit.coherence().pattern == pytest.approx(2.0 * np.sum(pattern[[0, 2]].mean(axis=0) ** 2) / 15.0)
 
     def test_two_ranges_tell_more_than_one(self):
         ratio = {}
