@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
 
@@ -195,6 +195,8 @@ def _between(
     # rounding must not make a node of its own of a value that lies at one
     low = np.floor(place + 1e-9)
     share = np.clip(place - low, 0.0, 1.0)
+    position = pairs.position if pairs.mast is not None else ()
+    of_scan = _Hashed(pairs.scan.key, pairs.scan)
     total: list[FloatArray] = []
     for corner in product((0, 1), repeat=len(_STEPS)):
         weight = np.prod(np.where(corner, share, 1.0 - share), axis=-1)
@@ -202,11 +204,7 @@ def _between(
         if len(some) == 0:
             continue
         nodes, of = np.unique(low[some] + corner, axis=0, return_inverse=True)
-        position = pairs.position if pairs.mast is not None else ()
-        made = [
-            _moments_at(_Hashed(pairs.scan), pairs.duration, position, *node)
-            for node in nodes.astype(np.int64).tolist()
-        ]
+        made = [_moments_at(of_scan, pairs.duration, position, *node) for node in nodes.astype(np.int64).tolist()]
         stacked = [np.stack(values) for values in zip(*made, strict=True)]
         if not total:
             total = [np.zeros((len(point), *values.shape[1:])) for values in stacked]
@@ -215,17 +213,12 @@ def _between(
     return CovarianceMoments(*total)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Hashed:
     """A scan that is the same as another with the same key."""
 
-    scan: Scan
-
-    def __hash__(self) -> int:
-        return hash(self.scan.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and self.scan.key == other.scan.key
+    key: str
+    scan: Scan = field(compare=False)
 
 
 @lru_cache(maxsize=4096)
