@@ -87,12 +87,12 @@ def variances_alone(
     common += shared @ shared.swapaxes(-1, -2)
     root = np.linalg.cholesky(spread + (SAME_FOR_ALL - 1.0) * common)
     pattern = np.linalg.solve(root, mean[..., np.newaxis])[..., 0]
-    whole = likelihood.seen.all(axis=1) & (not of_mast)
+    whole = np.full(len(batch), False) if of_mast else np.all(likelihood.seen, axis=1)
     n_pair = likelihood.seen[:, n_view:].sum(axis=1).astype(np.float64)
     square = np.sum(mean * np.linalg.solve(spread, mean[..., np.newaxis])[..., 0], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         columns = {PAIRS_MISFIT: np.where(n_pair > 0, square / n_pair, np.nan), N_PAIR: n_pair}
-    return draws, columns, np.where(whole[:, np.newaxis], pattern, np.nan)
+    return draws, columns, np.where(np.expand_dims(whole, 1), pattern, np.nan)
 
 
 def _prior_covariance(options: FitOptions, n_coordinate: int) -> FloatArray:
