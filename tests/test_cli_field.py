@@ -241,6 +241,9 @@ class TestMast:
         pd.testing.assert_frame_equal(found.summary(), expected, check_exact=True)
         alone = brs.fit(records, scan, seed=1, target_ess=50).summary()
         assert (found.summary()["sd"] < 0.95 * alone["sd"]).any()
+        reference = pd.DataFrame({"time": records["time"].values, "ti": 0.11})
+        page = brs.write_report(found, tmp_path / "page.html", reference=reference).read_text()
+        assert "What a mast measured is among the data of this fit" in page
         told = found.settings["records"]
         assert told["mast"] == [str(table)]
         assert told["mast_position"] == [-98.0, 5.0, 2.0]
