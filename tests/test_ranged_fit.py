@@ -311,6 +311,8 @@ class TestCommands:
         shutil.copytree(folder, place)
         result = CliRunner().invoke(commands, ["corner", str(place)])
         assert "take one" in str(result.exception)
+        result = CliRunner().invoke(commands, ["boxes", str(place), "-o", str(tmp_path / "boxes")])
+        assert "take one" in str(result.exception)
         result = CliRunner().invoke(commands, ["corner", str(place), "--range", "98"])
         assert (result.exit_code, result.output.strip()) == (0, str(place / "range-98m" / "corner-0.png"))
         result = CliRunner().invoke(commands, ["corner", str(place / "range-98m"), "--range", "98"])

@@ -94,7 +94,7 @@ def headline_of(fit: FitData) -> Headline:
     }
     shares = median_of_known(summary["decided"])
     found = f"{_intensity_words(intensity, interval_words(prob, kind), fit.n_fitted)}; {_wind_words(wind)}; {counted}"
-    return Headline(found, decided_words(shares, by=_measured_by(fit)) + _of_campaign(fit, shares), doubts, numbers)
+    return Headline(found, decided_words(shares, by=measured_by(fit)) + _of_campaign(fit, shares), doubts, numbers)
 
 
 def headline_of_ranges(
@@ -147,7 +147,7 @@ def headline_of_ranges(
     return Headline(f"{found}; {_wind_words(wind)}; {counted}", _decided_at(shares), doubts, numbers)
 
 
-def _measured_by(fit: FitData) -> str:
+def measured_by(fit: FitData) -> str:
     """Say whose data a fit is of."""
     return "the beams and the mast beside" if MAST in fit.records else "the beams"
 
