@@ -93,6 +93,10 @@ class TestRecords:
         np.testing.assert_allclose(xr.load_dataset(out)["tilt"], [1.0, 3.0, 3.0], atol=0.1)
         np.testing.assert_allclose(xr.load_dataset(out)["roll"], 0.5, rtol=1e-12)
         assert "tilt and roll from 1 files; 0 records without" in done.output
+        assert run("records", file, *ANGLE, "-o", tmp_path / "bare.nc").exit_code == 0
+        again = run("records", tmp_path / "bare.nc", *ANGLE, "--motion", motion, *columns, "-o", tmp_path / "again.nc")
+        assert again.exit_code == 0, again.output
+        np.testing.assert_array_equal(xr.load_dataset(tmp_path / "again.nc")["tilt"], xr.load_dataset(out)["tilt"])
 
     def test_what_marks_a_missing_entry_for_the_scan_does_so_for_the_motion(self, file, tmp_path):
         """A pulsed nacelle lidar writes tilt and roll beside the velocities, and 9999 for all of them."""
