@@ -17,14 +17,14 @@ _NEAR = 0.05
 """A row belongs to a record if their starts differ by at most this share of the record's length."""
 
 
-def reference_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """Return a table, read if it is a file, and where it is in words."""
+def reference_table(source: str | Path | pd.DataFrame, *, what: str = "reference") -> tuple[pd.DataFrame, str]:
+    """Return a table, read if it is a file, and what and where it is in words."""
     if isinstance(source, pd.DataFrame):
-        return source, "that was given"
+        return source, f"{what} that was given"
     try:
-        return pd.read_csv(source, dtype=str, encoding="utf-8-sig", skipinitialspace=True), f"in {str(source)!r}"
+        return pd.read_csv(source, dtype=str, encoding="utf-8-sig", skipinitialspace=True), f"{what} in {str(source)!r}"
     except (OSError, ValueError) as error:  # the errors of pandas' parser are ValueErrors
-        raise InputError(f"The reference {str(source)!r} cannot be read as CSV: {error}.") from error
+        raise InputError(f"The {what} {str(source)!r} cannot be read as CSV: {error}.") from error
 
 
 def reference_times(column: pd.Series[Any], where: str) -> NDArray[np.datetime64]:
@@ -36,12 +36,12 @@ def reference_times(column: pd.Series[Any], where: str) -> NDArray[np.datetime64
     bad = np.flatnonzero(stamps.isna().to_numpy())
     if len(bad):
         raise InputError(
-            f"Row {bad[0]} of the reference {where} has the time {str(column.iloc[bad[0]])!r}: write 2020-09-04 12:00."
+            f"Row {bad[0]} of the {where} has the time {str(column.iloc[bad[0]])!r}: write 2020-09-04 12:00."
         )
     found = stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
     order, count = np.unique(found, return_counts=True)
     if np.any(count > 1):
-        raise InputError(f"The reference {where} has {count.max()} rows of {order[count > 1][0]}: keep one of a time.")
+        raise InputError(f"The {where} has {count.max()} rows of {order[count > 1][0]}: keep one of a time.")
     return np.asarray(found)
 
 
@@ -52,7 +52,7 @@ def reference_numbers(column: pd.Series[Any], name: str, where: str) -> FloatArr
     bad = np.flatnonzero(~np.isfinite(found) & ~empty.to_numpy(dtype=np.bool_))
     if len(bad):
         raise InputError(
-            f"Row {bad[0]} of the reference {where} has {name} {str(column.iloc[bad[0]])!r}, which is no number: leave "
+            f"Row {bad[0]} of the {where} has {name} {str(column.iloc[bad[0]])!r}, which is no number: leave "
             "it empty where there is none."
         )
     return np.asarray(found)
@@ -65,7 +65,7 @@ def matched_rows(
     known = ~np.isnat(time)
     if not len(start) or not known.any():
         raise InputError(
-            f"The reference {where} has {len(start)} rows, and {int(known.sum())} of {len(time)} records have a time: "
+            f"The {where} has {len(start)} rows, and {int(known.sum())} of {len(time)} records have a time: "
             "they are matched by time."
         )
     order = np.argsort(start)
@@ -77,7 +77,12 @@ def matched_rows(
     near = known & (np.abs(ordered[nearest] - wanted) <= _NEAR * duration * 1e9)
     if not near.any():
         raise InputError(
-            f"No row of the reference {where} ({start.min()} to {start.max()}) begins with a record "
-            f"({time[known].min()} to {time[known].max()}): check its time zone, and that its times are starts."
+            f"No row of the {where} ({_span(start)}) begins with a record ({_span(time[known])}): check its time zone, "
+            "and that its times are starts."
         )
     return np.where(near, order[nearest], -1)
+
+
+def _span(time: NDArray[np.datetime64]) -> str:
+    """Return the first and the last of some times, in words."""
+    return " to ".join(np.datetime_as_string([time.min(), time.max()], unit="s"))

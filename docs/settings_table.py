@@ -63,6 +63,7 @@ _WORDS = {
     "bayes_rs.priors.interface.": "",
     "bayes_rs.noise.noise.": "",
     "tuple[float, float]": "two numbers",
+    "tuple[float, float, float]": "three numbers",
     "Sequence[": "list[",
     "Mapping[": "table[",
 }

@@ -70,6 +70,10 @@ SAMPLES = {
         "motion_columns": Sample(
             {"tilt_deg": "Tilt"}, ("--motion-column", "tilt_deg=Tilt"), {"motion": ("/data/a.csv",)}
         ),
+        "mast": Sample(("/data/m.csv",), ("--mast", "/data/m.csv"), {"mast_position": (-98.0, 0.0, 2.0)}),
+        "mast_position": Sample(
+            (-200.0, 0.5, 10.0), ("--mast-position", "-200", "0.5", "10"), {"mast": ("/data/m.csv",)}
+        ),
     },
     "quality": {
         "status_valid": Sample((1.0, 2.0)),
@@ -160,9 +164,12 @@ def words_of_needs(needs: dict[str, object]) -> list[str]:
     """Return the words of a command line for what a sample needs."""
     words: list[str] = []
     for name, value in needs.items():
-        section = next(place for place, option in EVERY if option == name)
+        entry = entry_of(next(place for place, option in EVERY if option == name), name)
+        if isinstance(value, tuple) and "tuple" in str(entry.type):  # so many numbers, and not a list
+            words += [entry.flag, *map(str, value)]
+            continue
         for part in value if isinstance(value, tuple) else (value,):
-            words += [entry_of(section, name).flag, str(part)]
+            words += [entry.flag, str(part)]
     return words
 
 
@@ -175,8 +182,9 @@ def changed(settings, section, sample, name):
     """Return settings with the sample, also of an option whose name two sections have."""
     from dataclasses import replace  # noqa: PLC0415 - beside its use
 
-    settings = settings.changed(**sample.needs)
+    beside = {one: value for one, value in sample.needs.items() if section != "nuisances" and one in SAMPLES[section]}
+    settings = settings.changed(**{one: value for one, value in sample.needs.items() if one not in beside})
     if section == "nuisances":
         own = replace(settings.fit.nuisances, **{name: sample.value})
         return replace(settings, fit=replace(settings.fit, nuisances=own))
-    return replace(settings, **{section: replace(getattr(settings, section), **{name: sample.value})})
+    return replace(settings, **{section: replace(getattr(settings, section), **{**beside, name: sample.value})})

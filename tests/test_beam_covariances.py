@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from scenes import point_scan
+from test_sonic_series import write_toa5
 
 import bayes_rs as brs
 from bayes_rs.errors import InputError
@@ -567,6 +569,47 @@ class TestMast:
         )
         found = brs.wind.with_mast(records, stress, position=(0, 0, 0))
         np.testing.assert_allclose(found["mast_stress"].values, np.tile(FLOW.stresses(), (2, 1)))
+
+    def test_files_of_tables_are_put_together(self, tmp_path):
+        _, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1)))
+        table.iloc[:1].to_csv(tmp_path / "a.csv", index=False)
+        table.iloc[1:].drop(columns=["vv", "ww", "uv", "uw", "vw"]).to_csv(tmp_path / "b.csv.gz", index=False)
+        for files in (tmp_path, [tmp_path / "b.csv.gz", tmp_path / "a.csv"], str(tmp_path / "*.csv*")):
+            found = brs.wind.with_mast(records, files, position=(0, 0, 0))["mast_stress"].values
+            np.testing.assert_allclose(found[0], FLOW.stresses())
+            np.testing.assert_allclose(found[1:, 0], FLOW.stresses()[0])
+            assert np.isnan(found[1:, 1:]).all()
+        table.to_csv(tmp_path / "a.csv", index=False)
+        with pytest.raises(InputError, match="and 1 more has 2 rows of 2000-01-01T00:10"):
+            brs.wind.with_mast(records, tmp_path, position=(0, 0, 0))
+
+    @pytest.mark.parametrize("packed", [False, True])
+    def test_the_series_of_a_sonic_is_taken(self, packed, tmp_path):
+        """Its stresses are made for records of the records' own length."""
+        _, records = self.records(2)
+        time = records["time"].values[0] + np.arange(1200) * np.timedelta64(1, "s")
+        rng = np.random.default_rng(3)
+        wind = {name: ("time", rng.normal(mean, 1.0, 1200)) for name, mean in (("u", 9.0), ("v", 1.0), ("w", 0.0))}
+        more = {name: ("time", np.zeros(1200)) for name in ("temperature", "status")}
+        file = write_toa5(tmp_path / "sonic.dat", xr.Dataset({**wind, **more}, coords={"time": time}))
+        expected = brs.wind.sonic_stresses(brs.readers.read_sonic(file))["stress"].values
+        if packed:
+            with gzip.open(tmp_path / "sonic.dat.gz", "wb") as out:
+                out.write(file.read_bytes())
+            file = tmp_path / "sonic.dat.gz"
+        found = brs.wind.with_mast(records, file, position=(0, 0, 0))["mast_stress"].values
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        short = brs.make_records(
+            brs.simulate("2-beam", FLOW, wind_speed=10.0, n_records=2, seed=1), "2-beam", duration=300
+        )
+        halves = brs.wind.with_mast(short, file, position=(0, 0, 0))["mast_stress"].values
+        made = brs.wind.sonic_stresses(brs.readers.read_sonic(file), duration=300.0)["stress"].values
+        np.testing.assert_allclose(halves, made[: len(halves)], rtol=1e-9)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        table.to_csv(tmp_path / "t.csv", index=False)
+        with pytest.raises(InputError, match=r"is a sonic's series, and that in .*t\.csv' is none: give files of one"):
+            brs.wind.with_mast(records, [file, tmp_path / "t.csv"], position=(0, 0, 0))
 
     @pytest.mark.parametrize(
         ("change", "words"),

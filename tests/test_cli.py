@@ -117,10 +117,10 @@ class TestHelp:
     def test_help_names_all_commands(self, bayes_rs):
         code, out, err = bayes_rs("--help")
         assert (code, err) == (0, [])
-        for command in ("demo", "scans", "records", "calibrate", "fit", "corner"):
+        for command in ("demo", "scans", "records", "calibrate", "fit", "corner", "boxes"):
             assert f"\n  {command} " in out
 
-    @pytest.mark.parametrize("command", ["demo", "scans", "records", "calibrate", "fit", "corner"])
+    @pytest.mark.parametrize("command", ["demo", "scans", "records", "calibrate", "fit", "corner", "boxes"])
     def test_each_command_has_its_help(self, bayes_rs, command):
         code, out, _ = bayes_rs(command, "--help")
         assert code == 0

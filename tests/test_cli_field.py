@@ -13,6 +13,7 @@ from bayes_rs.cli.group import commands
 from bayes_rs.folder_lock import locked
 
 SCAN = "6-beam"
+SHORT = ("--ess", "50", "--seed", "1")
 ANGLE = ("--scan", SCAN, "--opening-angle", "45", "--focus-distance", "52")
 
 
@@ -92,6 +93,10 @@ class TestRecords:
         np.testing.assert_allclose(xr.load_dataset(out)["tilt"], [1.0, 3.0, 3.0], atol=0.1)
         np.testing.assert_allclose(xr.load_dataset(out)["roll"], 0.5, rtol=1e-12)
         assert "tilt and roll from 1 files; 0 records without" in done.output
+        assert run("records", file, *ANGLE, "-o", tmp_path / "bare.nc").exit_code == 0
+        again = run("records", tmp_path / "bare.nc", *ANGLE, "--motion", motion, *columns, "-o", tmp_path / "again.nc")
+        assert again.exit_code == 0, again.output
+        np.testing.assert_array_equal(xr.load_dataset(tmp_path / "again.nc")["tilt"], xr.load_dataset(out)["tilt"])
 
     def test_what_marks_a_missing_entry_for_the_scan_does_so_for_the_motion(self, file, tmp_path):
         """A pulsed nacelle lidar writes tilt and roll beside the velocities, and 9999 for all of them."""
@@ -210,3 +215,114 @@ def test_motion_is_written_as_the_velocities_are(file, series, tmp_path):
     done = run("records", ours, *ANGLE, *written, "--motion", motion, "-o", tmp_path / "records.nc")
     assert done.exit_code == 0, done.output
     np.testing.assert_allclose(xr.load_dataset(tmp_path / "records.nc")["tilt"], 1.5, rtol=1e-12)
+
+
+class TestMast:
+    """What a mast measured beside, from files: the same numbers as with `with_mast`."""
+
+    PLACE = ("--mast-position", -98, 5, 2)
+
+    @pytest.fixture
+    def records(self, file, scan):
+        return brs.make_records(brs.read(file, scan), scan)
+
+    @pytest.fixture
+    def table(self, records, tmp_path):
+        path = tmp_path / "mast.csv"
+        stress = np.array([[1.4, 0.9, 0.5, 0.1, -0.3, 0.0]]) * np.array([[1.0], [0.9], [1.1]])
+        columns = dict(zip(brs.STRESSES, stress.T, strict=True))
+        pd.DataFrame({"time": records["time"].values, **columns}).to_csv(path, index=False)
+        return path
+
+    def test_fit_takes_it_as_data(self, file, records, scan, table, tmp_path):
+        out = tmp_path / "out"
+        done = run("fit", file, *ANGLE, *SHORT, "--mast", table, *self.PLACE, "-o", out)
+        assert done.exit_code == 0, done.output
+        assert "the beams and the mast beside measured" in done.output
+        beside = brs.wind.with_mast(records, table, position=(-98, 5, 2))
+        expected = brs.fit(beside, scan, seed=1, target_ess=50).summary()
+        found = brs.open_fit(out)
+        pd.testing.assert_frame_equal(found.summary(), expected, check_exact=True)
+        alone = brs.fit(records, scan, seed=1, target_ess=50).summary()
+        assert (found.summary()["sd"] < 0.95 * alone["sd"]).any()
+        reference = pd.DataFrame({"time": records["time"].values, "ti": 0.11})
+        page = brs.write_report(found, tmp_path / "page.html", reference=reference).read_text()
+        assert "What a mast measured is among the data of this fit" in page
+        told = found.settings["records"]
+        assert told["mast"] == [str(table)]
+        assert told["mast_position"] == [-98.0, 5.0, 2.0]
+        again = run("fit", out / "run.json", "-o", tmp_path / "again")
+        assert again.exit_code == 0, again.output
+        pd.testing.assert_frame_equal(brs.open_fit(tmp_path / "again").summary(), expected, check_exact=True)
+
+    def test_records_hold_it(self, file, table, tmp_path):
+        done = run("records", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "with.nc")
+        assert done.exit_code == 0, done.output
+        assert "a mast at (-98, 5, 2) m is data of the fit: it has stresses of 3 of 3 records" in done.output
+        assert run("records", file, *ANGLE, "-o", tmp_path / "bare.nc").exit_code == 0
+        held = xr.load_dataset(tmp_path / "with.nc")["mast_stress"].values
+        np.testing.assert_allclose(held, pd.read_csv(table)[list(brs.STRESSES)].to_numpy(), rtol=1e-12)
+        for name, more in (("with", ()), ("bare", ("--mast", table, *self.PLACE))):
+            done = run("fit", tmp_path / f"{name}.nc", *ANGLE, *SHORT, *more, "-o", tmp_path / name)
+            assert done.exit_code == 0, done.output
+        one, other = (brs.open_fit(tmp_path / name).summary() for name in ("with", "bare"))
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+    def test_records_of_two_masts_are_not_fitted_together(self, file, table, tmp_path):
+        for name, place in (("one", (-98, 5, 2)), ("two", (-98, -5, 2))):
+            words = ("--mast", table, "--mast-position", *place, "-o", tmp_path / f"{name}.nc")
+            assert run("records", file, *ANGLE, *words).exit_code == 0
+        done = run("fit", tmp_path / "one.nc", tmp_path / "two.nc", *ANGLE, "-o", tmp_path / "out")
+        assert "have a mast at [-98.0, -5.0, 2.0] and those in" in str(done.exception)
+
+    @pytest.mark.parametrize("command", ["fit", "records", "sensitivity", "spectra"])
+    def test_a_wrong_file_is_said_before_anything_is_read(self, command, file, table, tmp_path, monkeypatch):
+        def read(*_args, **_options):
+            raise AssertionError("files were read")
+
+        monkeypatch.setattr("bayes_rs.records.record_store.store_records", read)
+        monkeypatch.setattr("bayes_rs.fits.from_files.store_records", read)
+        monkeypatch.setattr("bayes_rs.records.making.make_records", read)
+        pd.read_csv(table).rename(columns={"uu": "sigma_u"}).to_csv(table, index=False)
+        done = run(command, file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "out")
+        assert isinstance(done.exception, brs.InputError)
+        assert "needs time and at least uu: rename them." in str(done.exception)
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (("--mast", "mast.csv"), "The option mast needs mast_position (--mast-position X Y Z): say where"),
+            (("--mast-position", 1, 2, 3), "The option mast_position is only used with mast: give its files"),
+            (("--mast", "none.csv", *PLACE), "File 'none.csv' does not exist: check its path."),
+            (("--mast", "mast.csv", *PLACE, "--yaw-sd", 2), "Invalid uncertain yaw_error with a mast beside the beams"),
+            (("--mast", "mast.csv", *PLACE, "--target", "sonic"), "Invalid target 'sonic' with a mast beside the"),
+        ],
+    )
+    def test_what_does_not_go_together_is_refused_at_once(self, options, message, file, table, tmp_path, monkeypatch):
+        monkeypatch.chdir(table.parent)
+        done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
+        assert message in str(done.exception)
+        assert not (tmp_path / "out").exists()
+
+    def test_a_mast_of_another_day(self, file, table, tmp_path):
+        frame = pd.read_csv(table)
+        frame["time"] = (pd.to_datetime(frame["time"]) + pd.Timedelta("400D")).astype(str)
+        frame.to_csv(table, index=False)
+        done = run("records", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "r.nc")
+        assert "(2001-02-04T00:00:00 to 2001-02-04T00:20:00) begins with a record (2000-01-01T00:00:00" in str(
+            done.exception
+        )
+
+    def test_one_that_stands_beside_several_ranges(self, table, series, tmp_path):
+        far = tmp_path / "far.csv"
+        frame = series.to_dataframe().reset_index(drop=True)[["time", "beam", "radial_velocity"]]
+        pd.concat([frame.assign(range=r) for r in (40.0, 80.0)]).to_csv(far, index=False)
+        words = ("--scan", SCAN, "--range", "40,80", "--mast", table, *self.PLACE, "-o", tmp_path / "r.nc")
+        done = run("records", far, *words)
+        assert "The records are at 2 ranges (40, 80 m), and those of one" in str(done.exception)
+
+    def test_the_wind_has_no_use_for_one(self, file, table, tmp_path):
+        done = run("wind", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "w.csv")
+        assert done.exit_code == 2
+        assert "No such option" in done.output

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import sys
 
+import click
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import bayes_rs as brs
+from bayes_rs.cli.boxes_command import boxes
+from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError, MissingExtraError
+from bayes_rs.fits.load_boxes import record_grid
 from bayes_rs.simulation import BoxGrid, box_stresses, export_box
+from bayes_rs.simulation.box_files import FORMATS
 from bayes_rs.simulation.load_box import turning_factor, with_stresses
 
 pytest.importorskip("hipersim", reason="boxes of Mann turbulence need hipersim")
@@ -261,6 +268,120 @@ class TestDrawsOfAFit:
         with pytest.raises(InputError, match=words):
             brs.export_boxes(fit, 0, tmp_path / "boxes", **{"grid": GRID, "seed": 1, **options})
         assert not (tmp_path / "boxes").exists()
+
+
+@pytest.fixture(scope="module")
+def folder(records, tmp_path_factory):
+    place = tmp_path_factory.mktemp("command") / "fit"
+    noise = brs.noise.calibrate("2-beam", wind_speed=10.0)
+    brs.fit(records, "2-beam", noise=noise, seed=1, target_ess=100, output=place)
+    return place
+
+
+class TestDefaultGrid:
+    def test_it_is_as_long_as_the_record(self, fit):
+        grid = record_grid(fit, 1)
+        np.testing.assert_allclose(grid.size, (600.0 * float(fit.records["wind_speed"][1]), 160.0, 160.0))
+        assert grid.shape == (2048, 32, 32)
+        other = record_grid(fit, 1, points=(64, 4, 6), size=(90.0, 120.0), length=500.0)
+        np.testing.assert_allclose(other.spacing, (500.0 / 64, 90.0 / 4, 120.0 / 6))
+
+    def test_boxes_take_it(self, fit, tmp_path):
+        brs.export_boxes(fit, 1, tmp_path / "boxes", seed=1, n_box=1, format="netcdf")
+        with xr.open_dataset(tmp_path / "boxes" / "box-000.nc", engine="h5netcdf") as data:
+            assert data["velocity"].shape == (3, 2048, 32, 32)
+            assert float(data["x"][-1]) == pytest.approx(record_grid(fit, 1).size[0] * 2047 / 2048)
+
+
+class TestCommand:
+    """`bayes-rs boxes` writes what `export_boxes` does."""
+
+    SMALL = ("--points", 64, 8, 6, "--boxes", 2)
+
+    @staticmethod
+    def run(*words):
+        return CliRunner().invoke(commands, ["boxes", *map(str, words)])
+
+    @pytest.mark.parametrize("name", list(FORMATS))
+    def test_the_same_bytes_as_in_python(self, name, folder, tmp_path):
+        shear = ("--shear-exponent", 0.2) if name == "turbsim" else ()
+        more = ("--length", 900, "--size", 80, 90, "--length-scale", 50, "--gamma", 2.5, "--hub-height", 70)
+        words = (*self.SMALL, "--record", 1, "--seed", 7, "--format", name, *more, *shear, "-o", tmp_path / "a")
+        done = self.run(folder, *words)
+        assert done.exit_code == 0, done.output
+        brs.export_boxes(
+            brs.open_fit(folder),
+            1,
+            tmp_path / "b",
+            grid=BoxGrid((64, 8, 6), (900.0 / 64, 10.0, 15.0)),
+            seed=7,
+            n_box=2,
+            format=name,
+            length_scale=50.0,
+            gamma=2.5,
+            hub_height=70.0,
+            shear_exponent=0.2 if shear else 0.0,
+        )
+        one, other = (sorted(path for path in (tmp_path / place).iterdir()) for place in "ab")
+        assert [path.name for path in one] == [path.name for path in other]
+        for path, expected in zip(one, other, strict=True):
+            if path.suffix == ".nc":
+                xr.testing.assert_identical(xr.load_dataset(path), xr.load_dataset(expected))
+            elif path.name != "fingerprints.jsonl":
+                assert path.read_bytes() == expected.read_bytes(), path.name
+
+    def test_it_says_what_they_are_of(self, folder, tmp_path):
+        done = self.run(folder, *self.SMALL, "-o", tmp_path / "out")
+        first, heading, *rows = done.output.splitlines()
+        speed = float(brs.open_fit(folder).records["wind_speed"][0])
+        assert first.startswith(
+            f"2 boxes of record 0, wind {speed:.2f} m/s: {600 * speed:.5g} × 160 × 160 m, 64 × 8 × 6"
+        )
+        assert heading.split() == ["file", *brs.STRESSES, "L"]
+        assert rows[1].split()[0] == "box-001u.turb"
+        assert rows[2].startswith("in this record the beams measured uu, uv, and so TI; vv, ww, uw, vw are mostly")
+        assert rows[-1].endswith(str(tmp_path / "out"))
+        table = pd.read_csv(tmp_path / "out" / "boxes.csv")
+        again = self.run(folder, *self.SMALL, "-o", tmp_path / "out", "--overwrite", "--json")
+        told = json.loads(again.output)
+        assert told["folder"] == str(tmp_path / "out")
+        assert told["grid"]["points"] == [64, 8, 6]
+        np.testing.assert_allclose([box["uu"] for box in told["boxes"]], table["uu"])
+        assert told["decided"]["vv"] < 0.5 < told["decided"]["uu"]
+
+    def test_an_existing_folder_is_kept(self, folder, tmp_path):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "mine").write_text("mine")
+        for more in ((), ("--overwrite",)):
+            assert isinstance(self.run(folder, *self.SMALL, "-o", tmp_path / "out", *more).exception, InputError)
+        assert (tmp_path / "out" / "mine").read_text() == "mine"
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (("--record", 9), "No record 9: there are 2"),
+            (("--points", 63, 8, 6), "every number must be even"),
+            (("--boxes", 10**6), "draws; write fewer boxes"),
+            (("--shear-exponent", 0.2), "its files hold no mean wind"),
+            (("--hub-height", 10), "into the ground"),
+            (("--range", 50), "is of one range"),
+        ],
+    )
+    def test_what_is_refused(self, words, message, folder, tmp_path):
+        done = self.run(folder, *self.SMALL, *words, "-o", tmp_path / "out")
+        assert isinstance(done.exception, InputError)
+        assert message in str(done.exception)
+        assert not (tmp_path / "out").exists()
+
+    def test_its_formats_are_those_that_there_are(self):
+        option = next(one for one in boxes.params if "--format" in one.opts)
+        assert tuple(option.type.choices) == tuple(FORMATS)
+        assert [item.value for item in option.shell_complete(click.Context(boxes), "tu")] == ["turbsim"]
+
+    def test_a_bar_is_shown_where_it_is_asked_for(self, fit, tmp_path, capsys):
+        for shown in (True, False):
+            brs.export_boxes(fit, 0, tmp_path / f"{shown}", grid=GRID, seed=1, n_box=2, progress=shown)
+            assert ("boxes:" in capsys.readouterr().err) is shown
 
 
 class TestRefused:

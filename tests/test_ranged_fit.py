@@ -304,12 +304,23 @@ class TestPictures:
         alone = write_report(place, tmp_path / "alone.html").read_text(encoding="utf-8")
         assert 'href="range-52m' not in alone
 
+    def test_each_range_has_its_budget_in_its_page(self, folder, tmp_path):
+        place = tmp_path / "out"
+        shutil.copytree(folder, place)
+        write_report(place, budget=True)
+        for name in ("range-52m", "range-98m"):
+            assert "Uncertainty budget" in (place / name / "report.html").read_text(encoding="utf-8")
+        with pytest.raises(brs.InputError, match="A budget is of a fit at one range, and stands in the page of each"):
+            write_report(place, tmp_path / "alone.html", budget=True)
+
 
 class TestCommands:
     def test_one_range_is_shown(self, folder, tmp_path):
         place = tmp_path / "out"
         shutil.copytree(folder, place)
         result = CliRunner().invoke(commands, ["corner", str(place)])
+        assert "take one" in str(result.exception)
+        result = CliRunner().invoke(commands, ["boxes", str(place), "-o", str(tmp_path / "boxes")])
         assert "take one" in str(result.exception)
         result = CliRunner().invoke(commands, ["corner", str(place), "--range", "98"])
         assert (result.exit_code, result.output.strip()) == (0, str(place / "range-98m" / "corner-0.png"))

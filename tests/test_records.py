@@ -501,6 +501,8 @@ class TestBadInput:
         [
             ({"durations": 60.0}, "Unknown option 'durations' in the options of records: did you mean 'duration'?"),
             ({"motion": ["a.csv"]}, "The option motion is not used where records are made: give it and the records to"),
+            ({"mast": "a.csv", "mast_position": [0, 0, 0]}, "The option mast is not used where records are made: give"),
+            ({"mast": "a.csv", "mast_position": [0, 0]}, "position"),
             ({"motion_columns": {"tilt_deg": "Tilt"}}, "The option motion_columns is only used with motion"),
         ],
     )

@@ -16,8 +16,10 @@ from click.testing import CliRunner
 from fit_scene import NOISE, OPTIONS, SCAN, make_records
 from report_scene import EVIL, demo_records, evil_folder, result_folder, table_folder
 
+import bayes_rs as brs
 from bayes_rs import STRESSES, InputError, fit, open_fit, write_report
 from bayes_rs.cli.report_command import report
+from bayes_rs.fits.budget_sources import SWITCHED
 from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.flags import FLAG_MEANINGS, FLAGS
 from bayes_rs.posteriors.decided import is_priors
@@ -25,6 +27,7 @@ from bayes_rs.posteriors.prior_at_size import prior_interval_at_size, sizes_of
 from bayes_rs.report import figures, template
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.beside import beside_data, beside_section, match_fits
+from bayes_rs.report.budget_section import part_class
 from bayes_rs.report.packing import MISSING, pack, pack_few, pack_rows, pack_steps, plain
 from bayes_rs.report.reference_section import make_reference, reference_data, reference_errors, reference_section
 from bayes_rs.report.report_data import NUMBERS, report_data
@@ -554,6 +557,52 @@ class TestBeside:
             match_fits(found, later, ("a", "b"))
         with pytest.raises(InputError, match=r"The intervals of the two fits differ: 90 % interval, .*50 %"):
             match_fits(found, dataclasses.replace(found, prob=0.5), ("a", "b"))
+
+
+@pytest.fixture(scope="module")
+def budget_of_full(full):
+    return brs.budget(open_fit(full), derived=("ti",))
+
+
+class TestBudget:
+    """The uncertainty budget stands in the page where it is asked for."""
+
+    def test_the_page_holds_the_shares_of_the_budget(self, full, full_page, budget_of_full, tmp_path):
+        text = write_report(full, tmp_path / "page.html", budget=True).read_text(encoding="utf-8")
+        data = data_of(text)["budget"]
+        assert data["names"] == [*STRESSES, "TI"]
+        assert [one["name"] for one in data["sources"]] == list(dict.fromkeys(budget_of_full["source"]))[:-1]
+        for one in data["sources"]:
+            own = budget_of_full[budget_of_full["source"] == one["name"]].set_index("stress").loc[[*STRESSES, "ti"]]
+            np.testing.assert_allclose(one["share"], 100.0 * own["share"], rtol=1e-3, atol=1e-6)
+            cells = [f"{100 * share:z.0f} %".replace("-", "−") for share in own["share"]]
+            assert "".join(f'<td class="n">{cell}</td>' for cell in cells) in text
+        last = budget_of_full[budget_of_full["source"] == "combined"].set_index("stress")
+        assert data["priors"] == [int(value) for value in is_priors(last.loc[[*STRESSES, "ti"], "decided"])]
+        for words in ("Of 5 records together", "Taken for known: probe length, yaw", ">scatter beyond theory, type A<"):
+            assert words in text
+        assert text == write_report(full, tmp_path / "again.html", budget=True).read_text(encoding="utf-8")
+        assert "Uncertainty budget" not in full_page
+        assert data_of(full_page)["budget"] is None
+
+    def test_the_command_asks_for_it(self, full, tmp_path):
+        for words, there in (((), False), (("--budget",), True)):
+            page = tmp_path / f"{there}.html"
+            assert CliRunner().invoke(report, [str(full), "-o", str(page), *words]).exit_code == 0
+            assert ("Uncertainty budget" in page.read_text(encoding="utf-8")) is there
+
+    def test_every_source_has_a_colour_in_the_page_and_in_the_picture(self, budget_of_full):
+        style = template.shipped("style.css")
+        for source in SWITCHED:
+            assert f".part.{part_class(source)} {{ --part:" in style, source
+            renamed = budget_of_full.assign(source=budget_of_full["source"].replace("length scale", source))
+            assert brs.plot.budget(renamed.drop_duplicates(["stress", "source"])).axes
+
+    def test_one_that_cannot_be_had_is_refused_in_one_line(self, tmp_path):
+        folder = result_folder(tmp_path / "out", n_record=2, flagged=True)
+        with pytest.raises(InputError, match="No record was fitted, so there is nothing to tell"):
+            write_report(folder, budget=True)
+        assert not (folder / "report.html").exists()
 
 
 class TestPriorsPart:

@@ -45,7 +45,7 @@ def files(tmp_path_factory):
     ti = np.linspace(0.09, 0.16, 6)
     pd.DataFrame({"time": open_fit(full).time, "TI": ti, "U": np.linspace(9.0, 11.0, 6)}).to_csv(mast, index=False)
     other = shutil.copytree(full, folder / FILE_EVIL)
-    return pages | {"compared": write_report(full, folder / "compared.html", reference=mast, beside=other)}
+    return pages | {"compared": write_report(full, folder / "compared.html", reference=mast, beside=other, budget=True)}
 
 
 def with_gaps(folder):

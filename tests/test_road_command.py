@@ -25,7 +25,7 @@ from bayes_rs.likelihoods.log_normal import LIKELIHOODS, log_normal_likelihood
 from bayes_rs.likelihoods.reduced_noise import ReducedNoise
 from bayes_rs.options import options_of
 from bayes_rs.records.record_files import open_record_files
-from bayes_rs.records.record_options import RecordOptions
+from bayes_rs.records.record_options import ADDED, RecordOptions
 
 ON_THE_COMMAND_LINE = [(section, name) for section, name in EVERY if entry_of(section, name).flag]
 """The others are for settings files and Python."""
@@ -386,7 +386,7 @@ class TestNoEffect:
             *(
                 ("fit", section, name)
                 for section, name in ON_THE_COMMAND_LINE
-                if section in ("files", "records", "quality") and not name.startswith("motion")
+                if section in ("files", "records", "quality") and name not in ADDED
             ),
             *((command, "records", "duration") for command in ("sensitivity", "records", "wind")),
         ],
@@ -600,7 +600,7 @@ class TestOtherCommands:
             for command in ("records", "fit")
             for section, name in ON_THE_COMMAND_LINE
             if section in ("files", "records", "quality")
-            and not name.startswith("motion")
+            and name not in ADDED
             and (command, name) != ("records", "blade_frequency")  # the test above
         ],
     )
@@ -621,6 +621,12 @@ class TestOtherCommands:
             ("begin_result_folder", ("--overwrite",), "overwrite", True),
             ("add_motion", ("--motion", "there.csv"), "options", RecordOptions(motion=("there.csv",))),
             ("add_motion", ("--separator", ";"), "files", InputOptions(files=("day.csv",), separator=";")),
+            (
+                "mast_of",
+                ("--mast", "there.csv", "--mast-position", -9, 0, 1),
+                "options",
+                RecordOptions(mast=("there.csv",), mast_position=(-9.0, 0.0, 1.0)),
+            ),
             ("noise_and_records", ("--turbulence", "iec-a"), "choice", NoiseOptions(turbulence="iec-a")),
         ],
     )

@@ -79,6 +79,8 @@ class TestPaths:
         files = ["raw", "more/*.csv", "/data/last.csv"]
         [records]
         motion = ["motion.csv"]
+        mast = ["cup.csv", "sonic/*.dat"]
+        mast_position = [-200, 0, 10]
         [noise]
         noise = "noise.nc"
         turbulence = "flow.toml"
@@ -91,6 +93,8 @@ class TestPaths:
         assert found.scan.scan == f"{tmp_path}/ours.toml@tilt_deg=2"
         assert found.files.files == (f"{tmp_path}/raw", f"{tmp_path}/more/*.csv", "/data/last.csv")
         assert found.records.motion == (f"{tmp_path}/motion.csv",)
+        assert found.records.mast == (f"{tmp_path}/cup.csv", f"{tmp_path}/sonic/*.dat")
+        assert found.records.mast_position == (-200.0, 0.0, 10.0)
         assert found.noise.noise == f"{tmp_path}/noise.nc"
         assert found.noise.turbulence == f"{tmp_path}/flow.toml"
         assert found.output.output == f"{tmp_path}/out"

@@ -205,6 +205,7 @@ class TestRefused:
             ({"campaign": "on"}, "A stream learns no campaign"),
             ({"campaign_group": "hour"}, "A stream learns no campaign"),
             ({"motion": "tilt.csv"}, "motion is not used in a stream"),
+            ({"mast": "cup.csv", "mast_position": (0.0, 0.0, 0.0)}, "mast is not used in a stream"),
             ({"memory": -1}, "memory"),
             ({"every": 70.0}, "Invalid every 70.0 s"),
             ({"lateness": -1.0}, "lateness"),

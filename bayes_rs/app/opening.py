@@ -22,7 +22,6 @@ from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.words import record_name
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.options import to_plain
 from bayes_rs.readers.compressed import plain_suffix
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.readers.one_file import SUFFIXES
@@ -30,6 +29,7 @@ from bayes_rs.readers.reading import read
 from bayes_rs.records.making import make_records
 from bayes_rs.records.ranges import has_ranges
 from bayes_rs.records.record_files import open_records
+from bayes_rs.records.record_options import options_of_series
 from bayes_rs.result_folder import RUN_FILE
 from bayes_rs.spectra.radial_spectrum import radial_spectra
 
@@ -229,8 +229,7 @@ def _open_files(path: Path, name: str, settings: Settings, scan: str) -> Opened:
     if records is not None:
         return _of_records(name, records, loaded, None, said)
     series = read(list(own.files.files), loaded, **own.files.of_reading())
-    keywords = {key: value for key, value in to_plain(own.records).items() if not key.startswith("motion")}
-    records = make_records(series, loaded, quality=own.quality, **keywords)
+    records = make_records(series, loaded, quality=own.quality, **options_of_series(own.records))
     return _of_records(name, records, loaded, series, said)
 
 

@@ -23,6 +23,7 @@ COMMANDS = {
     "sensitivity": ("fit_commands:sensitivity", "Say which stresses the data decide, and which the prior."),
     "corner": ("fit_commands:corner", "Draw the posterior of one record of a fit."),
     "report": ("report_command:report", "Write one HTML page of a fit."),
+    "boxes": ("boxes_command:boxes", "Write boxes of turbulence of a record, for simulators of loads."),
     "app": ("app_command:app", "Look through results and choose a scan, in the browser."),
     "spectra": ("spectra_command:spectra", "Spectra, length scale and instrument noise of every record."),
     "wind": ("wind_command:wind", "Mean wind of every record, with standard deviations."),

@@ -17,6 +17,7 @@ from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
+from bayes_rs.records.record_options import ADDED
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 TITLES = {
@@ -308,7 +309,7 @@ def refuse_for_records(files: Sequence[str]) -> None:
     """
     names = {entry.name for section in _MADE_OF_SERIES for entry in options_of(SECTIONS[section])}
     refuse_given(
-        sorted(names - {"motion", "motion_columns"}),
+        sorted(names - set(ADDED)),
         f"for radial velocities only, and {files[0]!r} holds records that were made before: leave it out, or give the "
         "files of radial velocities.",
     )
@@ -358,7 +359,7 @@ def field_option(entry: Option, group: str) -> FieldOption:
         return FieldOption(*names, is_flag=True, callback=_switch, **attributes)
     if pair:
         attributes.setdefault("metavar", "LOW HIGH")
-        return FieldOption(*names, type=get_args(container), nargs=2, **attributes)
+        return FieldOption(*names, type=get_args(container), nargs=len(get_args(container)), **attributes)
     if origin is Mapping:
         value = get_args(container)[1]
         if entry.name == "columns":

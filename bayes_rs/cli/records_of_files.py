@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayes_rs.cli.options import refuse_for_records
 from bayes_rs.cli.voice import note
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from bayes_rs.fits.settings import Settings
     from bayes_rs.geometry.scan import Scan
+    from bayes_rs.wind.mast import MastStresses
 
 EXIT_FLAGGED = 1
 """Exit code of what is done, with failures that are listed."""
@@ -38,21 +39,25 @@ def exit_if_doubtful(dataset: xr.Dataset) -> None:
 def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     """Read records that were made before, or make them; say on stderr what was read and dropped."""
     from bayes_rs.records.record_files import open_record_files
+    from bayes_rs.wind.mast import mast_of
 
     settings = with_scan(settings)
     scan = settings.scan.load()
     made = open_record_files(settings.files.files, scan)
     if made is not None:
         refuse_for_records(settings.files.files)
-        return made, scan
-    if settings.quality.blade_frequency is not None:  # whether blades pass is a matter of the whole series
-        return records_of(series_of(settings, scan), scan, settings), scan
-    return _finished(_records_in_pieces(settings, scan), scan, settings), scan
+    mast = mast_of(settings.records, made)  # what is wrong with it is said before hours of reading
+    if made is None and settings.quality.blade_frequency is not None:  # whether blades pass is a matter of all samples
+        made = _records_of_series(series_of(settings, scan), scan, settings)
+    elif made is None:
+        made = _told(_records_in_pieces(settings, scan))
+    return _added(made, scan, settings, mast), scan
 
 
 def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
     """Make records as `fit` does, piece by piece, with memory that does not grow with the files."""
     from bayes_rs.begin_folder import begin_result_folder
+    from bayes_rs.records.record_options import options_of_series
     from bayes_rs.records.record_store import store_records
 
     with TemporaryDirectory(prefix="bayes-rs-") as place:
@@ -66,18 +71,11 @@ def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
                     quality=settings.quality,
                     say=note,
                     workers=settings.output.workers,
-                    **record_keywords(settings),
+                    **options_of_series(settings.records),
                 ).records
         except BaseException as error:
             getattr(error, "__notes__", []).clear()  # nothing is kept that one could go on from
             raise
-
-
-def record_keywords(settings: Settings) -> dict[str, Any]:
-    """Return the options of records that are made of a series, as keywords."""
-    from bayes_rs.options import to_plain
-
-    return {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
 
 
 def with_scan(settings: Settings) -> Settings:
@@ -95,21 +93,39 @@ def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
 
 
 def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
-    """Make records, and say on stderr what was read and dropped."""
+    """Make records, with the lidar's motion and a mast; say on stderr what was read and dropped."""
+    from bayes_rs.wind.mast import mast_of
+
+    mast = mast_of(settings.records, None)
+    return _added(_records_of_series(series, scan, settings), scan, settings, mast)
+
+
+def _records_of_series(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
     from bayes_rs.records.making import make_records
+    from bayes_rs.records.record_options import options_of_series
 
-    return _finished(make_records(series, scan, quality=settings.quality, **record_keywords(settings)), scan, settings)
+    return _told(make_records(series, scan, quality=settings.quality, **options_of_series(settings.records)))
 
 
-def _finished(made: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
-    """Say on stderr what was read and dropped, and add the motion of the lidar."""
+def _told(made: xr.Dataset) -> xr.Dataset:
+    """Say on stderr what was read and dropped."""
     from bayes_rs.records.report import describe_report
-    from bayes_rs.wind.motion import add_motion
 
     for line in describe_report(made):
         note(line)
+    return made
+
+
+def _added(made: xr.Dataset, scan: Scan, settings: Settings, mast: MastStresses | None) -> xr.Dataset:
+    """Add the motion of the lidar, and what a mast measured."""
+    from bayes_rs.wind.mast import add_mast, mast_words
+    from bayes_rs.wind.motion import add_motion
+
     made = add_motion(made, scan, settings.records, settings.files)
     if settings.records.motion:
         without = int((made["motion_count"] == 0).sum())
         note(f"tilt and roll from {len(settings.records.motion)} files; {without} records without")
+    made = add_mast(made, mast, settings.records)
+    if mast is not None:
+        note(mast_words(made))
     return made

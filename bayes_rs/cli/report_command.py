@@ -31,6 +31,9 @@ from bayes_rs.cli.voice import answer, tell
 @click.option(
     "--beside", type=click.Path(path_type=Path), help="Folder of another fit of the same records, to compare with."
 )
+@click.option(
+    "--budget", is_flag=True, help="With the uncertainty budget: what of each stress's variance comes from where."
+)
 @click.option("--overwrite", is_flag=True, help="Replace an existing report.")
 @range_options
 def report(
@@ -40,6 +43,7 @@ def report(
     prob: float | None,
     reference: Path | None,
     beside: Path | None,
+    budget: bool,
     overwrite: bool,
     distance: float | None,
     height: float | None,
@@ -52,6 +56,15 @@ def report(
 
     found = fit_at_range(folder, distance, height)
     other = None if beside is None else fit_at_range(beside, distance, height)
-    page = write_report(found, output, title=title, prob=prob, reference=reference, beside=other, overwrite=overwrite)
+    page = write_report(
+        found,
+        output,
+        title=title,
+        prob=prob,
+        reference=reference,
+        beside=other,
+        budget=budget,
+        overwrite=overwrite,
+    )
     tell(str(page), wrap=False)
     answer({"file": str(page)})

@@ -14,7 +14,9 @@ from bayes_rs.cli.voice import answer, plain_number, tell
 
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
-@settings_options("scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)})
+@settings_options(
+    "scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)}, without=("mast", "mast_position")
+)
 @click.option(
     "--heading",
     "heading_deg",

@@ -138,11 +138,17 @@ def budget_lines(table: pd.DataFrame) -> list[str]:
     lines.append(line("combined, standard", "", [f"{row['u']:#.3g}" for row in last]))
     lines.append(line(half, "", [f"{row['expanded']:#.3g}" for row in last]))
     lines.append(line("decided by the data", "", [_percent(row["decided"]) for row in last]))
+    return [*lines, *budget_notes(table)]
+
+
+def budget_notes(table: pd.DataFrame) -> list[str]:
+    """Say which sources do not count in a budget, and whether its draws are few."""
+    notes = []
     if left_out := table.attrs.get("left_out"):
-        lines.append(f"taken for known: {', '.join(left_out)}")
+        notes.append(f"taken for known: {', '.join(left_out)}")
     if (least := table.attrs.get("least_effective", ENOUGH)) < ENOUGH:
-        lines.append(f"few draws: {least:.0f} effective ones in the worst of the records, so its numbers are poor")
-    return lines
+        notes.append(f"few draws: {least:.0f} effective ones in the worst of the records, so its numbers are poor")
+    return notes
 
 
 def _percent(share: float) -> str:

@@ -17,10 +17,10 @@ from bayes_rs.fits.uncertain_length import NODES, WEIGHTS
 from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.processor import one_thread
 from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, correlated_beams, pair_columns
+from bayes_rs.records.layout import MAST, MAST_POSITION
 from bayes_rs.theory.beam_covariances import CovarianceMoments, Views, covariance_moments
 from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence
-from bayes_rs.wind.mast import MAST, MAST_POSITION
 
 _STEPS = np.array([0.25, np.deg2rad(10.0), 0.3, 0.5])  # of ln U, yaw, ln L and Γ
 _SPEEDS, _LENGTHS, _GAMMAS = (1.0, 50.0), (8.0, 600.0), (0.0, 5.0)  # what is beyond gets the theory of these

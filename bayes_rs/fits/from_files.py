@@ -20,6 +20,7 @@ from bayes_rs.fits.fitting import noise_section
 from bayes_rs.fits.found_scan import with_found_scan
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts, with_settings
+from bayes_rs.fits.prepare import check_beside_mast
 from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
@@ -34,10 +35,12 @@ from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.standard_input import with_standard_input
 from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.records.record_files import open_record_files
+from bayes_rs.records.record_options import options_of_series
 from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
 from bayes_rs.result_folder import ResultFolder
 from bayes_rs.turbulence.mann import load_turbulence
+from bayes_rs.wind.mast import add_mast, mast_of, mast_words
 from bayes_rs.wind.motion import add_motion
 
 Say = Callable[[str], None]
@@ -112,6 +115,9 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
     records = open_record_files(files, scan)
     if records is None:
         find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
+    mast = mast_of(settings.records, records)  # as above
+    if mast is not None:
+        check_beside_mast(settings.fit)
     parts = _key_parts(settings, scan, noise)
     with begin_result_folder(
         output,
@@ -128,6 +134,9 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
         for line in describe_report(records):
             say(line)
         at_ranges = scan_of_records(records, scan)
+        records = add_mast(records, mast, settings.records)
+        if mast is not None:
+            say(mast_words(records))
         if isinstance(at_ranges, RangedScan):
             check_no_noise(noise, at_ranges)
             records = add_motion(records, scan, settings.records, settings.files)
@@ -150,7 +159,6 @@ def _read(
     settings: Settings, scan: Scan, folder: ResultFolder, progress: bool | None, say: Say
 ) -> tuple[xr.Dataset, Mapping[str, Any]]:
     """Make the records of files, and keep them in the folder; also return what `run.json` says of the files."""
-    options = {name: value for name, value in to_plain(settings.records).items() if not name.startswith("motion")}
     stored = store_records(
         list(settings.files.files),
         scan,
@@ -160,7 +168,7 @@ def _read(
         workers=settings.output.workers,
         progress=progress,
         say=say,
-        **options,
+        **options_of_series(settings.records),
     )
     if stored.n_resumed:
         say(f"{stored.n_resumed} of {stored.n_file} files were read by an earlier run")

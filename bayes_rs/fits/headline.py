@@ -20,6 +20,7 @@ from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.records.layout import MAST
 
 NOTHING = "nothing"
 """What is doubtful where nothing is."""
@@ -93,7 +94,7 @@ def headline_of(fit: FitData) -> Headline:
     }
     shares = median_of_known(summary["decided"])
     found = f"{_intensity_words(intensity, interval_words(prob, kind), fit.n_fitted)}; {_wind_words(wind)}; {counted}"
-    return Headline(found, decided_words(shares) + _of_campaign(fit, shares), doubts, numbers)
+    return Headline(found, decided_words(shares, by=measured_by(fit)) + _of_campaign(fit, shares), doubts, numbers)
 
 
 def headline_of_ranges(
@@ -146,13 +147,20 @@ def headline_of_ranges(
     return Headline(f"{found}; {_wind_words(wind)}; {counted}", _decided_at(shares), doubts, numbers)
 
 
-def decided_words(shares: FloatArray) -> str:
+def measured_by(fit: FitData) -> str:
+    """Say whose data a fit is of."""
+    return "the beams and the mast beside" if MAST in fit.records else "the beams"
+
+
+def decided_words(shares: FloatArray, *, by: str = "the beams") -> str:
     """Say which stresses the beams measured, and which are mostly the prior's.
 
     Parameters
     ----------
     shares : ndarray, shape (6,)
         Share that the data decided of each stress.
+    by : str
+        What measured.
 
     Returns
     -------
@@ -168,13 +176,13 @@ def decided_words(shares: FloatArray) -> str:
     measured = [name for name, prior in zip(STRESSES, priors, strict=True) if not prior]
     rest = [name for name in STRESSES if name not in measured]
     if not rest:
-        return "the beams measured all six stresses, and so TI"
+        return f"{by} measured all six stresses, and so TI"
     if not measured:
         return "none of the six stresses was measured: all are mostly the prior's, and so is TI"
     of_prior = f"{_listed(rest)} {'is' if len(rest) == 1 else 'are'} mostly the prior's"
     if "uu" in measured:
-        return f"the beams measured {_listed(measured)}, and so TI; {of_prior}"
-    return f"the beams measured {_listed(measured)}; {of_prior}, and so is TI"
+        return f"{by} measured {_listed(measured)}, and so TI; {of_prior}"
+    return f"{by} measured {_listed(measured)}; {of_prior}, and so is TI"
 
 
 def _of_campaign(fit: FitData, shares: FloatArray) -> str:

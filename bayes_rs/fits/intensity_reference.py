@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,9 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, in_short
+from bayes_rs.readers.toa5 import is_toa5, read_sonic
 from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
+from bayes_rs.wind.sonic import sonic_stresses
 
 _LARGEST = 1.0
 """Median above which a turbulence intensity is taken for one in per cent."""
@@ -53,9 +54,7 @@ def intensity_reference(
     columns = {_NAMES[str(name).strip().lower()]: name for name in table.columns if str(name).strip().lower() in _NAMES}
     if "time" not in columns or not ("ti" in columns or {"sigma_u", "U"} <= set(columns)):
         found = ", ".join(repr(str(name)) for name in table.columns[:20])
-        raise InputError(
-            f"The reference {where} has the columns {found}, and needs time, and ti or sigma_u and U: rename them."
-        )
+        raise InputError(f"The {where} has the columns {found}, and needs time, and ti or sigma_u and U: rename them.")
     start = reference_times(table[columns["time"]], where)
     numbers = {name: reference_numbers(table[columns[name]], name, where) for name in columns if name != "time"}
     speed = numbers.get("U", np.full(len(table), np.nan))
@@ -64,8 +63,7 @@ def intensity_reference(
     ti = np.where(np.isfinite(ti) & (ti > 0.0), ti, np.nan)
     if np.isfinite(ti).any() and np.nanmedian(ti) > _LARGEST:
         raise InputError(
-            f"The turbulence intensity of the reference {where} has the median {np.nanmedian(ti):g}: give σ_u/U, not "
-            "per cent."
+            f"The turbulence intensity of the {where} has the median {np.nanmedian(ti):g}: give σ_u/U, not per cent."
         )
     row = matched_rows(start, time, duration, where)
     there = row >= 0
@@ -74,26 +72,14 @@ def intensity_reference(
 
 def _table(source: str | Path | pd.DataFrame | xr.Dataset, duration: float) -> tuple[pd.DataFrame, str]:
     if isinstance(source, xr.Dataset):
-        return _of_sonic(source), "that was given"
+        return _of_sonic(source), "reference that was given"
     if not isinstance(source, (str, Path, pd.DataFrame)):
         raise InputError(
             f"Invalid reference {in_short(source)}: give a file, a table, or what bayes_rs.wind.sonic_stresses returns."
         )
-    if not isinstance(source, pd.DataFrame) and _is_series(Path(source)):
-        from bayes_rs.readers.toa5 import read_sonic  # noqa: PLC0415 - a table needs no reader
-        from bayes_rs.wind.sonic import sonic_stresses  # noqa: PLC0415 - as above
-
-        return _of_sonic(sonic_stresses(read_sonic(source), duration=duration)), f"in {str(source)!r}"
+    if not isinstance(source, pd.DataFrame) and (Path(source).is_dir() or is_toa5(Path(source))):
+        return _of_sonic(sonic_stresses(read_sonic(source), duration=duration)), f"reference in {str(source)!r}"
     return reference_table(source)
-
-
-def _is_series(path: Path) -> bool:
-    """Tell whether a file is that of a logger of Campbell's, or a folder."""
-    if path.is_dir():
-        return True
-    with suppress(OSError), path.open("rb") as file:
-        return file.read(8).lstrip(b'"').startswith(b"TOA5")
-    return False
 
 
 def _of_sonic(stresses: xr.Dataset) -> pd.DataFrame:

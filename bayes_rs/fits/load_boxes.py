@@ -13,6 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.output import output_folder, write_csv
+from bayes_rs.progress import progress as progress_bar
 from bayes_rs.simulation.boxes import BoxGrid, hipersim_for
 from bayes_rs.simulation.load_box import BoxOptions, check_stresses
 from bayes_rs.simulation.virtual import box_seeds
@@ -37,8 +38,8 @@ def export_boxes(
     record: int | str,
     output: str | Path,
     *,
-    grid: BoxGrid,
     seed: int,
+    grid: BoxGrid | None = None,
     n_box: int = 6,
     format: str = "hawc2",  # noqa: A002 - the word that everyone uses
     length_scale: float | None = None,
@@ -46,6 +47,7 @@ def export_boxes(
     hub_height: float | None = None,
     shear_exponent: float = 0.0,
     overwrite: bool = False,
+    progress: bool | None = None,
 ) -> pd.DataFrame:
     """Write boxes of Mann turbulence for draws of a record's posterior, one for each draw.
 
@@ -57,10 +59,11 @@ def export_boxes(
         Number of a record, or its start as ISO time (UTC).
     output : str or Path
         Folder to write.
-    grid : BoxGrid
-        The grid of every box: its length should be the wind speed times the duration of the record.
     seed : int
         Seed: it chooses the draws and the length scales, and makes the seed of every box.
+    grid : BoxGrid, optional
+        The grid of every box: its length should be the wind speed times the duration of the record. By default that,
+        160 m wide and high, of 2048 × 32 × 32 points.
     n_box : int
         How many draws.
     format : str
@@ -69,6 +72,8 @@ def export_boxes(
         Length scale, m, and anisotropy of all boxes, instead of the fit's.
     hub_height, shear_exponent, overwrite
         As for `bayes_rs.simulation.export_box`.
+    progress : bool, optional
+        A progress bar on stderr; by default only on a terminal.
 
     Returns
     -------
@@ -113,6 +118,7 @@ def export_boxes(
     if count > len(draws):
         raise InputError(f"Invalid n_box {count}: the record has {len(draws)} draws; write fewer boxes.")
     speed = float(fit.records["wind_speed"].values[index])
+    grid = record_grid(fit, index) if grid is None else grid
     chosen = BoxOptions(grid, speed, format, str(fit.settings["fit"]["target"]), hub_height, shear_exponent)
     flow = _flow_of(fit, index, length_scale, gamma)
     rng = as_generator(seed)
@@ -120,9 +126,11 @@ def export_boxes(
     lengths = flow.length_scale * np.exp(flow.log_sd * rng.standard_normal(count))
     seeds = box_seeds(rng, count)
     hipersim_for("")
+    silent = None if progress is None else not progress
     table = []
     with output_folder(output, overwrite=overwrite) as folder:
-        for box, (row, length, own) in enumerate(zip(rows.tolist(), lengths.tolist(), seeds, strict=True)):
+        drawn = zip(rows.tolist(), lengths.tolist(), seeds, strict=True)
+        for box, (row, length, own) in enumerate(progress_bar(drawn, count, "boxes", disable=silent)):
             stresses = check_stresses(draws[row])
             turbulence = MannTurbulence(_DISSIPATION, length, flow.gamma)
             files = chosen.write(stresses, turbulence, own, folder / f"box-{box:03d}")
@@ -142,6 +150,44 @@ def export_boxes(
         found = pd.DataFrame(table)
         write_csv(found, folder / TABLE)
     return found
+
+
+def record_grid(
+    fit: Fit,
+    record: int | str,
+    *,
+    points: tuple[int, int, int] = (2048, 32, 32),
+    size: tuple[float, float] = (160.0, 160.0),
+    length: float | None = None,
+) -> BoxGrid:
+    """Return the grid of a box for a record.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    record : int or str
+        Number of the record, or its start as ISO time (UTC).
+    points : tuple of int
+        Points along the wind, across it and upwards.
+    size : tuple of float
+        Width and height, m.
+    length : float, optional
+        Length, m; by default the record's wind speed times its duration.
+
+    Raises
+    ------
+    InputError
+        If there is no such record, it was not fitted, or a number is not valid.
+    """
+    index = fit.find_record(record)
+    if length is None:
+        length = float(fit.records["wind_speed"].values[index]) * float(fit.records.attrs.get("duration", 600.0))
+    along, across, upward = (
+        check_positive(number, what=what, unit="m")
+        for number, what in ((length, "length"), (size[0], "width"), (size[1], "height"))
+    )
+    return BoxGrid(points, (along / points[0], across / points[1], upward / points[2]))
 
 
 def _flow_of(fit: Fit, index: int, length_scale: float | None, gamma: float | None) -> _Flow:

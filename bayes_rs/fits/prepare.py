@@ -21,9 +21,8 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.geometry.attitude import gain_turn
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
-from bayes_rs.records.layout import TURBINE, check_layout
+from bayes_rs.records.layout import MAST, TURBINE, check_layout
 from bayes_rs.spectra.told_noise import NOISE_COMMON_SD, mean_of_used
-from bayes_rs.wind.mast import MAST
 
 LEAST_NOISE = 0.5
 """Share of the instrument's noise that a beam's variance must have: below, the beam does not see what the others do."""
@@ -78,8 +77,9 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         group=campaign_groups(records, options.campaign_group),
     )
     correlations = options.information == "covariances"
+    if MAST in records:
+        check_beside_mast(options)
     if correlations or MAST in records:
-        _check_mast(records, options)
         batch = replace(batch, pairs=pair_data(records, scan, noise.duration, correlations=correlations))
     if options.scatter == "records" and "variance_scatter" in records:
         both = [records[name].values for name in ("variance_scatter", "variance_scatter_of_beams")]
@@ -125,19 +125,25 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray((records["flag"].values == 0) & (variance > LEAST_VARIANCE) & np.isfinite(variance))
 
 
-def _check_mast(records: xr.Dataset, options: FitOptions) -> None:
-    """Refuse options that do not go with a mast beside the beams."""
-    if MAST in records and options.likelihood != "log-normal":
+def check_beside_mast(options: FitOptions) -> None:
+    """Refuse options that do not go with a mast beside the beams.
+
+    Raises
+    ------
+    InputError
+        For the first of them.
+    """
+    if options.likelihood != "log-normal":
         raise InputError(
             f"Invalid likelihood {options.likelihood!r} with a mast beside the beams: only with 'log-normal' is it "
             "known how both scatter together."
         )
     turned = [name for name in options.nuisances.names if name != "instrument_noise"]
-    if MAST in records and (turned or options.target == "sonic"):
-        what = f"target {options.target!r}" if not turned else f"an uncertain {turned[0]}"
+    if turned or options.target == "sonic":
+        what = f"target {options.target!r}" if not turned else f"uncertain {turned[0]}"
         raise InputError(
             f"Invalid {what} with a mast beside the beams: it would count for the mast, too; leave it out, or the "
-            "mast (drop 'mast_stress' of the records)."
+            "mast (the option mast, or 'mast_stress' of the records)."
         )
 
 

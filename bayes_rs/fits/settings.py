@@ -261,8 +261,8 @@ class Settings:
 
     def input_files(self) -> list[str]:
         """Return the files that the settings name and that are there: what is read, and may not lie in the output."""
-        named = [*self.files.files, *self.records.motion, self.noise.noise, self.noise.flow, self.scan.scan]
-        named.append(prior_file(self.fit.prior))
+        named: list[str | Path | None] = [*self.files.files, *self.records.motion, *self.records.mast]
+        named += [self.noise.noise, self.noise.flow, self.scan.scan, prior_file(self.fit.prior)]
         return [str(name) for name in named if name is not None and Path(name).exists()]
 
     def with_whole_paths(self) -> Settings:
@@ -285,7 +285,11 @@ class Settings:
             self,
             scan=replace(self.scan, scan=_unless_none(place_model, self.scan.scan)),
             files=replace(self.files, files=tuple(map(place, self.files.files))),
-            records=replace(self.records, motion=tuple(map(place, self.records.motion))),
+            records=replace(
+                self.records,
+                motion=tuple(map(place, self.records.motion)),
+                mast=tuple(map(place, self.records.mast)),
+            ),
             fit=self.fit if file is None else replace(self.fit, prior=f"campaign:{place(file)}"),
             noise=replace(
                 self.noise,

@@ -22,10 +22,10 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.noise.given import given_noise
 from bayes_rs.noise.noise import Noise
-from bayes_rs.options import to_plain
 from bayes_rs.processor import one_thread
 from bayes_rs.records.belief import believed
 from bayes_rs.records.closing import ClosingRecords
+from bayes_rs.records.record_options import options_of_series
 
 MEMORY = 5
 """Records before each that tell of it, too: with it, an hour of ten-minute records."""
@@ -113,14 +113,13 @@ class Stream:
             self.noise.select(self.scan.beam).check_scan(self.scan)
             check_duration(self.settings.records.duration, self.noise)
         self.memory = check_count(memory, what="memory", minimum=0)
-        records = {name: value for name, value in to_plain(self.settings.records).items() if "motion" not in name}
         self._closing = ClosingRecords(
             self.scan,
             before=self.memory,
             every=every,
             lateness=lateness,
             quality=self.settings.quality,
-            **records,
+            **options_of_series(self.settings.records),
         )
         self._options = self.settings.fit
         self._say = say
@@ -197,9 +196,10 @@ def _of(settings: Settings | str | Path | None, options: dict[str, Any]) -> Sett
             "A stream learns no campaign, since it does not know the records to come: leave campaign, campaign_group "
             "and campaign_unsteady out, or give what another fit has learnt as prior='campaign:FILE'."
         )
-    if changed.records.motion:
-        raise InputError(
-            "The option motion is not used in a stream: its files hold the lidar's motion when all is measured; fit "
-            "with them afterwards."
-        )
+    for name in ("motion", "mast"):
+        if getattr(changed.records, name):
+            raise InputError(
+                f"The option {name} is not used in a stream: its files are whole when all is measured; fit with them "
+                "afterwards."
+            )
     return replace(changed, fit=replace(own, campaign="off"))

@@ -11,9 +11,11 @@ from matplotlib.patches import Patch
 
 from bayes_rs.errors import InputError
 from bayes_rs.fits.budget_sources import (
+    COHERENCE,
     COMBINED,
     INSTRUMENT,
     LENGTH,
+    MAST_RATIO,
     PRIOR,
     PROBE,
     REST,
@@ -36,8 +38,10 @@ _COLOURS = {
     "lateral gradient": "#7F4F24",
     "vertical gradient": "#000000",
     TAILS: "#882255",
+    COHERENCE: "#999933",
+    MAST_RATIO: "#DDAA99",
 }
-"""Of Okabe and Ito (2008), and two more."""
+"""Of Okabe and Ito (2008), and four more."""
 _WIDTH = 0.66
 
 

@@ -107,6 +107,12 @@ def plain_file(file: Path) -> Iterator[Path]:
         yield plain
 
 
+def first_bytes(file: Path, count: int) -> bytes:
+    """Return how a file begins, without its compression; fewer bytes if it has no more."""
+    with _open(file) if file.suffix.lower() in COMPRESSIONS else file.open("rb") as stream:
+        return bytes(stream.read(count))
+
+
 @contextmanager
 def _open(file: Path) -> Iterator[IO[bytes] | Any]:
     suffix = file.suffix.lower()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import xarray as xr
 from bayes_rs._validation import check_finite
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
-from bayes_rs.readers.compressed import plain_file
+from bayes_rs.readers.compressed import UNREADABLE, first_bytes, plain_file
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import FileFormat, resolve_format
@@ -128,6 +129,13 @@ def read_sonic(
         "files": [{"name": name, **counts} for name, counts in zip(names, counted, strict=True)],
     }
     return joined.isel(time=first).assign_attrs(read_report=json.dumps(told))
+
+
+def is_toa5(file: Path) -> bool:
+    """Tell whether a file is that of a Campbell logger, as `read_sonic` reads it."""
+    with suppress(*UNREADABLE):
+        return first_bytes(file, 8).lstrip(b'"').startswith(b"TOA5")
+    return False
 
 
 def _read_one(

@@ -22,6 +22,8 @@ OF_RANGES = "of_ranges"
 """Attribute of records at several ranges: in JSON, the attributes that each range has for itself."""
 TURBINE = "turbine"
 """Variable of records with the name of the turbine, or of the lidar: the same start is then another record."""
+MAST, MAST_POSITION = "mast_stress", "mast_position"
+"""Variable of records with the stresses of a mast beside, and attribute with its place, m, in JSON."""
 _ADVICE = "make them with bayes_rs.make_records"
 
 RECORDS: dict[str, Entry] = {
@@ -53,7 +55,7 @@ RECORDS: dict[str, Entry] = {
     "block_scatter": Entry(("record", "blocks")),
     "block_scatter_of_beams": Entry(("record", "blocks")),
     "beam_correlation": Entry(("record", "beam_pair"), most=1.0),
-    "mast_stress": Entry(("record", "stress"), unit=_VARIANCE, most=_ANY),
+    MAST: Entry(("record", "stress"), unit=_VARIANCE, most=_ANY),
     "octave_variance": Entry(("record", "beam", "octave"), unit=_VARIANCE),
     "trend": Entry(_BOTH),
     "trend_p_value": Entry(_BOTH),
@@ -237,6 +239,7 @@ class RecordsAttributes(Open):
     length_scale_report: Json[_LengthTold] | None = None
     instrument_noise_report: Json[_Told] | None = None
     of_ranges: Json[list[_OfRange]] | None = None
+    mast_position: Json[tuple[Finite, Finite, Finite]] | None = None
 
 
 def check_layout(

@@ -16,7 +16,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
-from bayes_rs.records.layout import OF_RANGES, REPORT, TURBINE, check_layout
+from bayes_rs.records.layout import MAST_POSITION, OF_RANGES, REPORT, TURBINE, check_layout
 from bayes_rs.records.ranges import DISTANCE, each_range, has_ranges, scan_of_records
 
 
@@ -105,6 +105,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
             ("beams", first["beam"].values.tolist(), records["beam"].values.tolist()),
             ("duration", first.attrs.get("duration"), records.attrs.get("duration")),
             ("ranges", _ranges_of(first), _ranges_of(records)),
+            ("a mast at", first.attrs.get(MAST_POSITION, "no place"), records.attrs.get(MAST_POSITION, "no place")),
         ):
             if one != other:
                 raise InputError(

@@ -7,14 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_rs._validation import check_count, check_finite, check_positive, check_switch
+from bayes_rs._validation import check_array, check_count, check_finite, check_positive, check_switch
 from bayes_rs.errors import InputError, in_short
-from bayes_rs.options import described, from_plain, option
+from bayes_rs.options import described, from_plain, option, to_plain
 
 if TYPE_CHECKING:
     from bayes_rs.geometry.scan import Scan
 
 _DAY = 86_400_000_000_000  # ns
+ADDED = ("motion", "motion_columns", "mast", "mast_position")
+"""Options about what is added to finished records."""
+_WHO_ADDS = {
+    "motion": "give it and the records to bayes_rs.wind.add_motion",
+    "mast": "give its files and the records to bayes_rs.wind.with_mast",
+}
 
 
 @described
@@ -30,8 +36,8 @@ class RecordOptions:
     Notes
     -----
     Records start on the clock, at whole multiples of the duration since 1970-01-01 00:00 UTC, so it must divide a day
-    or be whole days. A beam is flagged if it has fewer samples than either limit asks for. Motion is added to finished
-    records: `bayes_rs.wind.add_motion` reads it, and `make_records` refuses it.
+    or be whole days. A beam is flagged if it has fewer samples than either limit asks for. Motion and a mast are added
+    to finished records, by `bayes_rs.wind.add_motion` and `bayes_rs.wind.with_mast`, and `make_records` refuses them.
 
     Examples
     --------
@@ -60,6 +66,20 @@ class RecordOptions:
         "Headings of the columns of those files, as time=Timestamp or tilt_deg=Tilt",
         flag="--motion-column",
         metavar="OURS=THEIRS",
+    )
+    mast: Sequence[str | Path] = option(
+        (),
+        "Files of what a mast beside measured in the same records, which is data of the fit, too: tables with time "
+        "(start of the record), uu and others of the stresses, or a sonic's series (TOA5); times that state no offset "
+        "are UTC",
+        metavar="FILE",
+    )
+    mast_position: tuple[float, float, float] | None = option(
+        None,
+        "Where the mast measures, from the lidar in its levelled frame: against its view, to the right of one who "
+        "looks out, and up; -200 0 0 is 200 m in front of it",
+        unit="m",
+        metavar="X Y Z",
     )
 
     def __post_init__(self) -> None:
@@ -92,6 +112,17 @@ class RecordOptions:
         put("motion_columns", dict(self.motion_columns))
         if self.motion_columns and not self.motion:
             raise InputError("The option motion_columns is only used with motion: give the files, or leave it out.")
+        put("mast", (self.mast,) if isinstance(self.mast, (str, Path)) else tuple(self.mast))
+        if self.mast_position is not None:
+            place = check_array(self.mast_position, (3,), what="mast_position")
+            put("mast_position", tuple(float(number) for number in place))
+            if not self.mast:
+                raise InputError("The option mast_position is only used with mast: give its files, or leave it out.")
+        elif self.mast:
+            raise InputError(
+                "The option mast needs mast_position (--mast-position X Y Z): say where the mast measures, three "
+                "numbers in m from the lidar; -200 0 0 is 200 m in front of a nacelle lidar."
+            )
 
     @property
     def window(self) -> int:
@@ -113,11 +144,15 @@ def record_options(options: Mapping[str, Any]) -> RecordOptions:
     Raises
     ------
     InputError
-        If one is not known, not valid, or about motion.
+        If one is not known, not valid, or about what is added to finished records.
     """
     chosen = from_plain(RecordOptions, options, where="the options of records")
-    if chosen.motion:
-        raise InputError(
-            "The option motion is not used where records are made: give it and the records to bayes_rs.wind.add_motion."
-        )
+    for name, who in _WHO_ADDS.items():
+        if getattr(chosen, name):
+            raise InputError(f"The option {name} is not used where records are made: {who}.")
     return chosen
+
+
+def options_of_series(options: RecordOptions) -> dict[str, Any]:
+    """Return those options that say how records are made of a series, as keywords of `make_records`."""
+    return {name: value for name, value in to_plain(options).items() if name not in ADDED}

@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.fits.headline import Headline
@@ -14,6 +15,7 @@ from bayes_rs.intervals import interval_words
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.beside import Beside, beside_data, beside_section
+from bayes_rs.report.budget_section import budget_data, budget_section
 from bayes_rs.report.campaign_section import CampaignShown, campaign_data, campaign_section
 from bayes_rs.report.diagnostics_section import diagnostics_section
 from bayes_rs.report.found_sections import decided_section, intensity_section, shape_section
@@ -37,7 +39,12 @@ _WITHOUT_SCRIPT = (
 
 
 def render(
-    found: ReportData, *, title: str | None = None, reference: Reference | None = None, beside: Beside | None = None
+    found: ReportData,
+    *,
+    title: str | None = None,
+    reference: Reference | None = None,
+    beside: Beside | None = None,
+    budget: pd.DataFrame | None = None,
 ) -> str:
     """Return the whole page.
 
@@ -51,6 +58,8 @@ def render(
         Turbulence intensity of another instrument beside it.
     beside : Beside, optional
         Another fit of the same records.
+    budget : DataFrame, optional
+        The uncertainty budget.
 
     Returns
     -------
@@ -90,6 +99,7 @@ def render(
         "campaign": None if campaign is None else campaign_data(campaign),
         "reference": None if reference is None else reference_data(found, reference),
         "beside": None if beside is None else beside_data(beside, rows),
+        "budget": None if budget is None else budget_data(budget),
     }
     named = "" if reference is None else reference.name
     compared = reference_section(found, reference) if reference is not None else ""
@@ -101,6 +111,7 @@ def render(
         ("record", "One record", record_section(found, timed=timed)),
         ("intensity", "Turbulence intensity", intensity_section(found, data)),
         ("decided", "What the data said", decided_section(found, data)),
+        ("budget", "Uncertainty budget", "" if budget is None else budget_section(budget)),
         ("shape", "Shape of the tensor", shape_section(found, data)),
         ("diagnostics", "Flags and diagnostics", diagnostics_section(found)),
         ("read", "What was read", read_section(found, availability)),

@@ -17,6 +17,7 @@ from bayes_rs.fits.intensity_metrics import ALL_SPEEDS, BIAS_LIMIT, REPRESENTATI
 from bayes_rs.fits.intensity_reference import intensity_reference
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
+from bayes_rs.records.layout import MAST
 from bayes_rs.report.packing import plain
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import figure, folded, key, number, table
@@ -28,6 +29,9 @@ _SCOPE = (
     "on the ground beside a mast, and leaves nacelle lidars out: the limits stand here as what is usually quoted. Each "
     "record counts with its posterior median. A reference at another place sees other eddies, which is part of the "
     "RRMSE and of what the intervals miss."
+)
+_AMONG_DATA = (
+    "What a mast measured is among the data of this fit: against the same mast, these errors are not the lidar's own."
 )
 _CAPTION = f"Errors; repr. is representative TI, the mean of a bin plus {REPRESENTATIVE:g} standard deviations"
 _NORMAL = 1.959964
@@ -117,6 +121,8 @@ def reference_section(found: ReportData, reference: Reference) -> str:
         f"{100.0 * whole['coverage']:.0f} % of the records."
     )
     verdict = [numbers, *_representative_words(rows), _SCOPE]
+    if MAST in found.records:
+        verdict.insert(0, _AMONG_DATA)
     if 2 * of_priors.sum() > len(of_priors):
         verdict.append("In most records uu, and so turbulence intensity, is mostly the prior's.")
     caption = (

@@ -20,6 +20,7 @@ FIT_SCRIPTS = (
     "series",
     "availability",
     "decided",
+    "budget",
     "intensity",
     "campaign",
     "reference",

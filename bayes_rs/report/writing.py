@@ -16,6 +16,7 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.output import output_file
 from bayes_rs.report.beside import Beside, match_fits
+from bayes_rs.report.budget_section import make_budget
 from bayes_rs.report.page import render
 from bayes_rs.report.ranged_page import render_ranges
 from bayes_rs.report.reference_section import make_reference
@@ -33,6 +34,7 @@ def write_report(
     prob: float | None = None,
     reference: str | Path | pd.DataFrame | xr.Dataset | None = None,
     beside: Fit | str | Path | None = None,
+    budget: bool = False,
     overwrite: bool = False,
 ) -> Path:
     """Write one HTML page that shows what a fit found, with its pictures and everything they are drawn from.
@@ -54,6 +56,8 @@ def write_report(
     beside : Fit, str or Path, optional
         Another fit of the same records, or its folder: the page then shows both, matched by the starts of the records.
         A fit that uses covariances has what the variances say by themselves beside it.
+    budget : bool
+        Show the uncertainty budget, too: `bayes_rs.budget` of the fit's records together, which takes seconds.
     overwrite : bool
         Replace an existing file.
 
@@ -67,7 +71,8 @@ def write_report(
     InputError
         If the folder is not of a fit, the fit is in memory and no file is named, the file exists and may not be
         replaced, prob cannot be had, the reference cannot be read or matched, the other fit shares no record, or either
-        is given for a fit at several ranges.
+        is given for a fit at several ranges; or a budget is asked for that cannot be had, or for the page of several
+        ranges alone.
 
     Notes
     -----
@@ -99,12 +104,19 @@ def write_report(
                 f"A reference, or another fit, stands beside a fit at one range: take one of the {len(found.ranges)} "
                 "ranges (--range, fit.at)."
             )
-        html = partial(_of_ranges, found, None if output is not None else file, title, prob, overwrite=overwrite)
+        if budget and output is not None:
+            raise InputError(
+                f"A budget is of a fit at one range, and stands in the page of each: leave the output out, or take one "
+                f"of the {len(found.ranges)} ranges (--range, fit.at)."
+            )
+        pages = None if output is not None else file
+        html = partial(_of_ranges, found, pages, title, prob, budget=budget, overwrite=overwrite)
     else:
         data = report_data(found, prob=prob)
         compared = _alone(found, data, prob) if beside is None else _match(found, data, beside, prob)
         measured = None if reference is None else make_reference(data, reference)
-        html = partial(render, data, title=title, reference=measured, beside=compared)
+        parts = make_budget(found) if budget else None
+        html = partial(render, data, title=title, reference=measured, beside=compared, budget=parts)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
@@ -139,11 +151,13 @@ def _match(fit: Fit, data: ReportData, beside: Fit | str | Path, prob: float | N
     return match_fits(data, report_data(other, prob=prob), (names[0], names[1]))
 
 
-def _of_ranges(found: RangedFit, file: Path | None, title: str | None, prob: float | None, *, overwrite: bool) -> str:
+def _of_ranges(
+    found: RangedFit, file: Path | None, title: str | None, prob: float | None, *, budget: bool, overwrite: bool
+) -> str:
     """Return the page of a fit at several ranges; those of its ranges are written into their folders first."""
     links: dict[int, str] = {}
     if file is not None:
         for place, own in found.fits.items():
-            page = write_report(own, title=title, prob=prob, overwrite=overwrite)
+            page = write_report(own, title=title, prob=prob, budget=budget, overwrite=overwrite)
             links[place] = page.relative_to(file.parent).as_posix()
     return render_ranges(found, links, title=title)

@@ -3,38 +3,67 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.records.layout import check_layout
+from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
+from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout
+from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
+from bayes_rs.wind.sonic import sonic_stresses
 
-MAST, MAST_POSITION = "mast_stress", "mast_position"
-"""Variable of records with the stresses of a mast, and attribute with its place."""
 _ROUNDING = 1e-9
 
 
-def with_mast(records: xr.Dataset, mast: xr.Dataset | pd.DataFrame | str | Path, *, position: ArrayLike) -> xr.Dataset:
+class MastStresses(NamedTuple):
+    """What a mast measured, checked, and not yet matched with records.
+
+    Parameters
+    ----------
+    start : ndarray of datetime64, shape (n,)
+        Starts of its periods, UTC.
+    stress : ndarray, shape (n, 6)
+        Its stresses, m² s⁻²; NaN where there are none.
+    where : str
+        Where they are from, in words.
+    """
+
+    start: NDArray[np.datetime64]
+    stress: FloatArray
+    where: str
+
+
+def with_mast(
+    records: xr.Dataset,
+    mast: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path],
+    *,
+    position: ArrayLike,
+) -> xr.Dataset:
     """Return records that hold what a mast measured in the same periods; a fit takes it as data beside the beams.
 
     Parameters
     ----------
     records : Dataset
         From `make_records`, at one range.
-    mast : Dataset, DataFrame, str or Path
-        From `sonic_stresses`; or a table, or a CSV file, with the column ``time`` (start of the period, UTC if no
-        offset is stated) and some of ``uu``, ``vv``, ``ww``, ``uv``, ``uw``, ``vw``, m² s⁻², in the
-        frame of the period's mean wind, its mean removed. The variance of a cup anemometer is ``uu`` alone.
+    mast : Dataset, DataFrame, str, Path or sequence of them
+        From `sonic_stresses`; or a table, or CSV files, with the column ``time`` (start of the period, UTC if no offset
+        is stated) and some of ``uu``, ``vv``, ``ww``, ``uv``, ``uw``, ``vw``, m² s⁻², in the frame of the period's mean
+        wind, its mean removed. The variance of a cup anemometer is ``uu`` alone. Or the series of a sonic, TOA5 files
+        (`bayes_rs.readers.read_sonic`), whose stresses are made for records of this length. Folders and patterns name
+        their files.
     position : array_like, shape (3,)
-        Where it measures, m from the lidar in the levelled frame of that: x against the view of a nacelle lidar, z up.
-        So a mast 200 m in front of it is at (-200, 0, 0).
+        Where it measures, m from the lidar in the levelled frame of that: x against the view of a nacelle lidar, y to
+        the right of one who looks out, z up. So a mast 200 m in front of it is at (-200, 0, 0).
 
     Returns
     -------
@@ -45,8 +74,8 @@ def with_mast(records: xr.Dataset, mast: xr.Dataset | pd.DataFrame | str | Path,
     Raises
     ------
     InputError
-        If the columns are missing, a variance is not above zero, a tensor is not realizable, or no period is one of the
-        records.
+        If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
+        realizable, or no period is one of the records.
 
     Examples
     --------
@@ -56,39 +85,115 @@ def with_mast(records: xr.Dataset, mast: xr.Dataset | pd.DataFrame | str | Path,
     >>> with_mast(brs.make_records(series, "2-beam"), cup, position=(-98, 0, 0))["mast_stress"].values[:, 0]
     array([nan, 1.3])
     """
-    check_layout(records, "variance", "flag", "wind_speed", "yaw")
-    place = check_array(position, (3,), what="position of the mast")
-    if isinstance(mast, xr.Dataset):
-        if "stress" not in mast or mast["stress"].dims != ("record", "component"):
-            raise InputError("Invalid mast: it has no 'stress' (record, component); give what sonic_stresses returns.")
-        table: pd.DataFrame | str | Path = pd.DataFrame(
-            {"time": mast["time"].values, **dict(zip(STRESSES, mast["stress"].values.T, strict=True))}
+    _check_records(records)
+    return _joined(records, read_mast(mast, _duration(records)), position)
+
+
+def mast_of(options: RecordOptions, records: xr.Dataset | None) -> MastStresses | None:
+    """Read what a mast measured from the files that the options of records name; None if they name none.
+
+    Parameters
+    ----------
+    options : RecordOptions
+        With the files of the mast.
+    records : Dataset, optional
+        The records, if they are there already: a sonic's stresses are made for their length.
+
+    Raises
+    ------
+    InputError
+        As from `with_mast`.
+    """
+    if not options.mast:
+        return None
+    if records is not None:
+        _check_records(records)
+    return read_mast(options.mast, options.duration if records is None else _duration(records))
+
+
+def add_mast(records: xr.Dataset, mast: MastStresses | None, options: RecordOptions) -> xr.Dataset:
+    """Give records what `mast_of` read; the same records if that is nothing."""
+    if mast is None or options.mast_position is None:
+        return records
+    _check_records(records)
+    return _joined(records, mast, options.mast_position)
+
+
+def mast_words(records: xr.Dataset) -> str:
+    """Say where the mast is, and in how many records it measured."""
+    place = ", ".join(f"{number:g}" for number in json.loads(records.attrs[MAST_POSITION]))
+    there = np.isfinite(records[MAST].values).any(axis=-1)
+    return f"a mast at ({place}) m is data of the fit: it has stresses of {there.sum()} of {len(there)} records"
+
+
+def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
+    """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s."""
+    if isinstance(source, (xr.Dataset, pd.DataFrame)):
+        return _of_stresses(source, "") if isinstance(source, xr.Dataset) else _of_table(source)
+    if not isinstance(source, (str, Path)) and not (
+        isinstance(source, Sequence) and all(isinstance(file, (str, Path)) for file in source)
+    ):
+        raise InputError(f"Invalid mast {in_short(source)}: give files, a table, or what sonic_stresses returns.")
+    files = find_files(source, SUFFIXES).paths
+    series = [file for file in files if is_toa5(file)]
+    first = f"mast in {str(files[0])!r}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
+    if len(series) == len(files):
+        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first)
+    if series:
+        table = next(file for file in files if file not in series)
+        raise InputError(
+            f"The mast in {str(series[0])!r} is a sonic's series, and that in {str(table)!r} is none: give files of "
+            "one kind."
         )
-    elif isinstance(mast, (str, Path, pd.DataFrame)):
-        table = mast
-    else:
-        raise InputError(f"Invalid mast {in_short(mast)}: give a file, a table, or what sonic_stresses returns.")
-    stress = _matched(table, records)
-    return records.assign(
-        {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
-    ).assign_attrs({MAST_POSITION: json.dumps(place.tolist())})
+    tables = [_of_table(file) for file in files]
+    if len(tables) == 1:
+        return tables[0]
+    start = reference_times(pd.Series(np.concatenate([table.start for table in tables])), first)
+    return MastStresses(start, np.concatenate([table.stress for table in tables]), first)
 
 
-def _matched(mast: pd.DataFrame | str | Path, records: xr.Dataset) -> FloatArray:
-    """Return the stresses of the mast at each record, shape (n_record, 6)."""
-    table, where = reference_table(mast)
+def _of_stresses(stresses: xr.Dataset, where: str) -> MastStresses:
+    """Return those of the Dataset of `sonic_stresses`."""
+    if "stress" not in stresses or stresses["stress"].dims != ("record", "component"):
+        raise InputError("Invalid mast: it has no 'stress' (record, component); give what sonic_stresses returns.")
+    columns = dict(zip(STRESSES, stresses["stress"].values.T, strict=True))
+    return _of_table(pd.DataFrame({"time": stresses["time"].values, **columns}), where)
+
+
+def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresses:
+    """Return those of a table, checked; `where` says where it is from, if it is no file."""
+    table, found_where = reference_table(source, what="mast")
+    where = where or found_where
     columns = {str(name).strip().lower(): name for name in table.columns}
     there = [name for name in STRESSES if name in columns]
     if "time" not in columns or "uu" not in there:
         found = ", ".join(repr(str(name)) for name in table.columns[:20])
-        raise InputError(f"The mast {where} has the columns {found}, and needs time and at least uu: rename them.")
+        raise InputError(f"The {where} has the columns {found}, and needs time and at least uu: rename them.")
     start = reference_times(table[columns["time"]], where)
     values = np.full((len(table), len(STRESSES)), np.nan)
     for name in there:
         values[:, STRESSES.index(name)] = reference_numbers(table[columns[name]], name, where)
     _check_realizable(values, where)
-    row = matched_rows(start, records["time"].values, float(records.attrs.get("duration", 600.0)), where)
-    return np.where((row >= 0)[:, np.newaxis], values[row], np.nan)
+    return MastStresses(start, values, where)
+
+
+def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike) -> xr.Dataset:
+    """Return records with the stresses of a mast, each with those of its own period."""
+    place = check_array(position, (3,), what="position of the mast")
+    row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where)
+    stress = np.where((row >= 0)[:, np.newaxis], mast.stress[row], np.nan)
+    return records.assign(
+        {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
+    ).assign_attrs({MAST_POSITION: json.dumps(place.tolist())})
+
+
+def _check_records(records: xr.Dataset) -> None:
+    """Refuse records that a mast cannot stand beside, as those at several ranges."""
+    check_layout(records, "variance", "flag", "wind_speed", "yaw", "time")
+
+
+def _duration(records: xr.Dataset) -> float:
+    return float(records.attrs.get("duration", 600.0))
 
 
 def _check_realizable(values: FloatArray, where: str) -> None:
@@ -97,7 +202,7 @@ def _check_realizable(values: FloatArray, where: str) -> None:
     if len(bad):
         row, column = (int(index) for index in bad[0])
         raise InputError(
-            f"Row {row} of the mast {where} has {STRESSES[column]} {values[row, column]:g} m² s⁻²: a "
+            f"Row {row} of the {where} has {STRESSES[column]} {values[row, column]:g} m² s⁻²: a "
             "variance is above zero; leave it empty where there is none."
         )
     for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=3):
@@ -105,6 +210,6 @@ def _check_realizable(values: FloatArray, where: str) -> None:
         beyond = np.flatnonzero(np.abs(values[:, column]) >= most * (1.0 - _ROUNDING))
         if len(beyond):
             raise InputError(
-                f"Row {beyond[0]} of the mast {where} has {STRESSES[column]} {values[beyond[0], column]:g} m² "
+                f"Row {beyond[0]} of the {where} has {STRESSES[column]} {values[beyond[0], column]:g} m² "
                 f"s⁻², beyond the root of {STRESSES[i]} times {STRESSES[j]}, {most[beyond[0]]:g}: no wind has that."
             )

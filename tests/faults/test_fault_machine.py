@@ -31,6 +31,7 @@ CASES = {
     "sensitivity": (("sensitivity", *OF_RECORDS, "--factor", "2", "-o", "table.csv"), "table.csv"),
     "corner": (("corner", "out", "-o", "corner.png"), "corner.png"),
     "report": (("report", "out", "-o", "page.html"), "page.html"),
+    "boxes": (("boxes", "out", "--boxes", "1", "--points", "16", "4", "4", "-o", "boxes"), "boxes/boxes.csv"),
     "spectra": (("spectra", *OF_SAMPLES, "-o", "spectra"), "spectra/run.json"),
     "wind": (("wind", *OF_SAMPLES, "-o", "wind.csv"), "wind.csv"),
     "compare": (("compare", "2-beam", "--records", "2", "--duration", "60", "-o", "cmp"), "cmp/comparison.png"),

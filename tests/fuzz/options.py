@@ -53,6 +53,7 @@ def _bases(place: Path) -> dict[str, tuple[list[str], list[str]]]:
         "find-scan": ([str(place / "rays.nc")], ["--distance", "100", "-o", "out.toml"]),
         "corner": ([str(place / "fit")], ["-o", "out.png"]),
         "report": ([str(place / "fit")], ["-o", "out.html"]),
+        "boxes": ([str(place / "fit")], ["--boxes", "1", "--points", "16", "4", "4", "-o", "out"]),
         "spectra": ([series], [*of_file, "-o", "out"]),
         "wind": ([series], [*of_file, "-o", "out.csv"]),
         "compare": (["staring"], ["--records", "4", "-o", "out"]),

@@ -1,7 +1,7 @@
 // The page of a fit: draws its figures, and shows the record that is chosen.
 
 const figures = {
-  availability, stresses, decided, intensity, corner, shape, diagnostics, beside, acceptance,
+  availability, stresses, decided, budget, intensity, corner, shape, diagnostics, beside, acceptance,
   "campaign-means": campaignMeans, "campaign-speed": campaignSpeed, "campaign-hyper": campaignHyper,
 };
 const holders = [...document.querySelectorAll("[data-figure]")];
