@@ -443,16 +443,17 @@ class TestFit:
         pattern = fit.table("pairs_pattern").filter(like="pair_").to_numpy()
         assert np.isfinite(pattern).sum(axis=1).tolist() == [10, 10]
 
-    def test_a_record_without_all_pairs_has_no_part_in_the_pattern(self, both):
+    def test_a_pair_that_a_record_lacks_adds_nothing_to_the_pattern(self, both):
         scan, records, _ = both
         some = records.isel(record=[0, 1, 2]).copy(deep=True)
         some["beam_correlation"][1, 4] = np.nan
         noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
         fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
         pattern = fit.table("pairs_pattern").filter(like="pair_").to_numpy()
-        assert np.isfinite(pattern).all(axis=1).tolist() == [True, False, True]
+        assert np.count_nonzero(np.nan_to_num(pattern), axis=1).tolist() == [15, 14, 15]
         assert fit.table("posterior")["n_pair"].tolist() == [15.0, 14.0, 15.0]
-        assert fit.coherence().pattern == pytest.approx(2.0 * np.sum(pattern[[0, 2]].mean(axis=0) ** 2) / 15.0)
+        mean = np.nan_to_num(pattern).mean(axis=0)
+        assert fit.coherence().pattern == pytest.approx(3.0 * np.sum(mean**2) / 15.0)
 
     def test_two_ranges_tell_more_than_one(self):
         ratio = {}
@@ -537,6 +538,33 @@ class TestMast:
         means = table["mean"].to_numpy().reshape(-1, 6).mean(axis=0)
         # the mast says the truth in each record, and its scatter is 0.15 of vv and 0.1 of ww
         np.testing.assert_allclose(means[1:3], truth[1:3], rtol=0.1)
+
+    def test_what_the_beams_say_without_it_is_kept_and_a_mast_of_other_air_is_told(self, tmp_path):
+        """A sonic that has twice the uu of the beams, in every record, and one that has theirs."""
+        scan, records = self.records()
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        alone = brs.fit(records, scan, seed=1, noise=noise, campaign="off")
+        truth = moments_of(scan).record
+        rng = np.random.default_rng(5)
+        views = Views.of_scan(scan, 0.0).with_mast(np.array([-98.0, 0.0, 0.0]))
+        theory = covariance_moments(views, FLOW, wind_speed=10.0, n_sample=N_SAMPLE)
+        own = slice(scan.n_beam, scan.n_beam + 3)
+        root = np.linalg.cholesky(theory.covariance[own, own])
+        stress = np.tile(truth, (20, 1))
+        stress[:, :3] *= np.exp(rng.standard_normal((20, 3)) @ root.T)
+        for factor, doubted in ((1.0, False), (2.0, True)):
+            changed = stress * [factor, 1.0, 1.0, 1.0, 1.0, 1.0]
+            beside = brs.wind.with_mast(records, mast_table(records, changed), position=(-98, 0, 0))
+            fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", output=tmp_path / f"{factor}")
+            pd.testing.assert_frame_equal(fit.summary(information="variances"), alone.summary())
+            found = fit.coherence()
+            assert found.data == ("mast",)
+            assert found.doubted == doubted
+            assert ("speak against the mast" in fit.headline().doubtful) == doubted
+            assert brs.open_fit(tmp_path / f"{factor}").coherence() == found
+        page = brs.write_report(fit).read_text()
+        assert "By beams and mast and by variances" in page
+        assert "they speak against the mast: believe what the variances say" in page
 
     def test_a_mast_elsewhere_is_another_fit(self):
         """What tells fits apart, for a run that is resumed, knows where the mast stands."""

@@ -1,4 +1,4 @@
-"""Whether the covariances between beams are what the variances' stresses and the model's coherence make them."""
+"""Whether the data beside the variances of beams are what the stresses of these, and the model, make them."""
 
 from __future__ import annotations
 
@@ -8,37 +8,43 @@ from typing import Any
 import numpy as np
 import scipy
 
-from bayes_rs.fits.columns import N_PAIR, PAIRS_MISFIT, PATTERN, VARIANCES, pattern_columns
+from bayes_rs.fits.columns import N_PAIR, PAIRS_MISFIT, PATTERN, SAME_FOR_ALL, VARIANCES, pattern_columns
 from bayes_rs.fits.fit_data import FitData
+from bayes_rs.records.layout import MAST
 
 MOST_MISFIT = 1.1
-"""Mean square of what variances leave unexplained of the covariances, over what is expected, that is not believed."""
-SAME_FOR_ALL = 100
-"""Records whose mean counts in full, and no more: a pattern of a tenth of one record's scatter is let be."""
+"""Mean square of what variances leave unexplained of the other data, over what is expected, that is not believed."""
 _LEVEL = 1e-3  # probability of a sum that is as large by chance
+_WORDS = {
+    "covariances": ("the covariances between beams", "the model's coherence"),
+    "mast": ("the stresses of the mast beside", "the mast"),
+}
 
 
 @dataclass(frozen=True)
 class Coherence:
-    """Whether the covariances between beams are what the stresses, told by the variances, and the model make them.
+    """Whether covariances between beams, and a mast beside, are what the stresses, told by the variances, make them.
 
     Parameters
     ----------
+    data : tuple of str
+        What is compared with the variances: ``"covariances"``, ``"mast"``, or both.
     n_record : int
         Records that were compared.
     misfit : float
-        Sum of the records' chi-squares over that of their numbers of pairs: about 1 where the model's coherence holds.
+        Sum of the records' chi-squares over that of their numbers of data: about 1 where the model's coherence holds,
+        and the mast measures the same air.
     probability : float
-        Of a sum as large as that, if it does.
+        Of a sum as large as that, if they do.
     share : float
         Share of the records with a probability below 1 %.
     pattern : float
-        Square of the mean of what differs, by pairs of beams, over what is expected of so many records at most: 1 or
-        below where the model's coherence holds.
+        Square of the mean of what differs, over what is expected of so many records at most: 1 or below if they do.
     pattern_probability : float
         Of a pattern as large as that, or larger, at most.
     """
 
+    data: tuple[str, ...]
     n_record: int
     misfit: float
     probability: float
@@ -48,42 +54,40 @@ class Coherence:
 
     @property
     def doubted(self) -> bool:
-        """Whether the covariances speak against the model's coherence."""
-        return self._scatters or self.pattern_probability < _LEVEL
-
-    @property
-    def _scatters(self) -> bool:
-        return self.misfit > MOST_MISFIT and self.probability < _LEVEL
+        """Whether the data beside the variances speak against the model's coherence, or against the mast."""
+        scatters = self.misfit > MOST_MISFIT and self.probability < _LEVEL
+        return scatters or self.pattern_probability < _LEVEL
 
     def in_words(self) -> str:
         """Say it in one line."""
-        verdict = (
-            "they speak against the model's coherence: believe what the variances say"
-            if self.doubted
-            else "they do not speak against the model's coherence"
-        )
+        what, against = (" and ".join(words) for words in zip(*(_WORDS[name] for name in self.data), strict=True))
         same = (
-            f", and differ from it in the same way in all of them ({self.pattern:.2f} times what chance does)"
+            f", and differ from that in the same way in all of them ({self.pattern:.2f} times what chance does)"
             if self.pattern_probability < _LEVEL
             else ""
         )
+        verdict = (
+            f"they speak against {against}: believe what the variances say"
+            if self.doubted
+            else f"they do not speak against {against}"
+        )
         return (
-            f"the covariances between beams scatter {self.misfit:.2f} times as expected about what the variances' "
+            f"{what} scatter {self.misfit:.2f} times as expected about what the variances' "
             f"stresses make them ({self.n_record} record{'s' * (self.n_record != 1)}){same}: {verdict}"
         )
 
 
 def coherence_of(fit: FitData) -> Coherence | None:
-    """Return how the covariances of all records go with the variances; None for a fit without them.
+    """Return how the data beside the variances go with these in all records; None for a fit without such data.
 
     Parameters
     ----------
     fit : FitData
         The fit.
     """
-    own = fit.run.get("settings", {}).get("fit", {})
-    if own.get("information") != "covariances" or VARIANCES not in fit.source.datasets:
+    if VARIANCES not in fit.source.datasets:
         return None
+    of_pairs = fit.run["settings"]["fit"].get("information") == "covariances"
     columns: dict[str, Any] = fit.of_records(PAIRS_MISFIT, N_PAIR)
     known = np.isfinite(columns[PAIRS_MISFIT])
     count = columns[N_PAIR][known]
@@ -91,31 +95,30 @@ def coherence_of(fit: FitData) -> Coherence | None:
     if not len(count):
         return None
     chi2 = scipy.stats.chi2
-    pattern, n_pair = _pattern_of(fit)
+    pattern, n_datum = _pattern_of(fit)
     return Coherence(
+        data=(*(["covariances"] if of_pairs else []), *(["mast"] if MAST in fit.records else [])),
         n_record=len(count),
         misfit=float(square.sum() / count.sum()),
         probability=float(chi2.sf(square.sum(), count.sum())),
         share=float(np.mean(chi2.sf(square, count) < 0.01)),
-        pattern=pattern / n_pair if n_pair else np.nan,
-        pattern_probability=float(chi2.sf(pattern, n_pair)) if n_pair else np.nan,
+        pattern=pattern / n_datum,
+        pattern_probability=float(chi2.sf(pattern, n_datum)),
     )
 
 
 def _pattern_of(fit: FitData) -> tuple[float, int]:
-    """Return the square of the mean of what differs, times the number of records that count, and the number of pairs.
+    """Return the square of the mean of what differs, times the number of records that count, and the number of data.
 
-    See `bayes_rs.fits.information.variances_alone`. Zero and zero where no record has all pairs.
+    See `bayes_rs.fits.information.variances_alone`.
     """
     names = pattern_columns(fit.scan.n_beam)
-    total, n_record, of_pair = np.zeros(len(names)), 0, np.zeros(len(names), dtype=np.bool_)
+    total, n_record, there = np.zeros(len(names)), 0, np.zeros(len(names), dtype=np.bool_)
     for piece in fit.source.pieces(PATTERN, names):
         values = piece.to_numpy(dtype=np.float64)
-        known = np.isfinite(values).any(axis=1)
-        total += np.nan_to_num(values[known]).sum(axis=0)
-        n_record += int(known.sum())
-        of_pair |= np.isfinite(values).any(axis=0)
-    if not n_record:
-        return 0.0, 0
+        fitted = values[np.isfinite(values).any(axis=1)]
+        total += np.nan_to_num(fitted).sum(axis=0)
+        there |= np.any(np.nan_to_num(fitted) != 0.0, axis=0)  # a datum that no record has is 0 in all
+        n_record += len(fitted)
     mean = total / n_record
-    return float(min(n_record, SAME_FOR_ALL) * mean @ mean), int(of_pair.sum())
+    return float(min(n_record, SAME_FOR_ALL) * mean @ mean), int(there.sum())

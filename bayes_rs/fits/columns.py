@@ -34,13 +34,17 @@ TABLE, HYPER, SUMMARY = "campaign", "campaign_hyper", "campaign_summary"
 """Names of the tables of a campaign: what it found, its hyperparameters, and the records under the learnt prior."""
 VARIANCES = "variances_summary"
 """Name of the table with the records by their variances alone, of a fit that uses covariances."""
+N_OF_MAST = 3
+"""Variances that a mast beside has."""
 PATTERN = "pairs_pattern"
 """Name of the table with each record's part of what differs in all records between covariances and variances."""
+SAME_FOR_ALL = 100
+"""Records whose mean pattern counts in full, and no more: a tenth of one record's scatter is let be."""
 N_PRIOR_DRAW = 10_000
 """Draws of the prior that go with a fit, for its outline in figures and for what the data decided."""
 
 
 def pattern_columns(n_beam: int) -> list[str]:
-    """Return the columns with numbers of the table `PATTERN`: one for each pair of beams that can be correlated."""
-    n_used = min(n_beam, MOST_BEAMS)
-    return [f"pair_{number}" for number in range(1, n_used * (n_used - 1) // 2 + 1)]
+    """Return the columns with numbers of the table `PATTERN`: one for each pair of views, and a mast's own."""
+    n_view = min(n_beam, MOST_BEAMS) + N_OF_MAST
+    return [f"pair_{number}" for number in range(1, n_view * (n_view - 1) // 2 + N_OF_MAST + 1)]

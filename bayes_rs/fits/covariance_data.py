@@ -110,8 +110,10 @@ def pair_likelihood(
     sd = np.full((n_record, len(COHERENCE)), options.coherence_log_sd)
     sd[:, COHERENCE.index("length_scale")] = 0.0 if length_log_sd is None else length_log_sd
     spread = moments.slope * sd[:, None, :]
-    covariance += spread @ spread.swapaxes(-1, -2)
-    covariance[:, n_beam:n_view, n_beam:n_view] += options.mast_log_sd**2
+    ratio = np.zeros((n_record, len(first), 1))
+    ratio[:, n_beam:n_view] = options.mast_log_sd
+    for own_error in (spread, ratio):
+        covariance += own_error @ own_error.swapaxes(-1, -2)
     reference = moments.ensemble if options.target == "ensemble" else moments.record
     return covariance_likelihood(
         beams,
@@ -119,7 +121,7 @@ def pair_likelihood(
         covariance_forms(*directions, moments.tensor, reference),
         covariance,
         bias,
-        np.concatenate([spread, *(shift[:, :, None] for shift in systematic)], axis=-1),
+        np.concatenate([spread, ratio, *(shift[:, :, None] for shift in systematic)], axis=-1),
         dof=options.nuisances.inflation_dof,
         turn=turn,
     )

@@ -114,8 +114,8 @@ class Fit(FitData):
             The records under the prior that the campaign has learnt, in place of the given one; of these no draws are
             kept.
         information : {"variances", "covariances"}, optional
-            By default that of the fit. Of a fit that uses the covariances between beams, ``"variances"`` gives what the
-            variances say by themselves; of these no draws are kept.
+            By default that of the fit. Of a fit that uses the covariances between beams, or a mast beside, too,
+            ``"variances"`` gives what the variances of the beams say by themselves; of these no draws are kept.
         records : int, slice or array_like, optional
             Only these records: numbers, a slice of numbers or of starts as ISO times (UTC, the end left out), or a
             truth value for each record, as ``fit.records["turbine"] == "T07"``. Only their parts are read.
@@ -189,15 +189,16 @@ class Fit(FitData):
         return table[list(shown)]
 
     def _is_alone(self, information: str | None) -> bool:
-        """Tell whether what is asked for are the variances alone, of a fit that uses covariances."""
-        own = self.settings["fit"].get("information", "variances")
-        if information is None or check_choice(information, INFORMATION, what="information") == own:
+        """Tell whether what is asked for are the variances alone, of a fit that uses covariances or a mast, too."""
+        if information is None:
             return False
-        if own == "variances":
+        if check_choice(information, INFORMATION, what="information") == "variances":
+            return VARIANCES in self.source.datasets
+        if self.settings["fit"].get("information", "variances") != information:
             raise InputError(
                 "The fit used variances alone: fit again with information='covariances' (--information covariances)."
             )
-        return True
+        return False
 
     def _of_table(self, dataset: str, chosen: NDArray[np.int64] | None, columns: Sequence[str]) -> pd.DataFrame:
         """Return columns of a summary as it was made, of some records."""
@@ -211,23 +212,23 @@ class Fit(FitData):
         return pd.concat(pieces, ignore_index=True)[list(columns)]
 
     def coherence(self) -> Coherence:
-        """Return how the covariances between beams go with what the variances say of the stresses.
+        """Return how covariances between beams, and a mast beside, go with what the variances say of the stresses.
 
         Returns
         -------
         coherence : Coherence
-            The misfit over all records, and whether it speaks against the coherence of the model.
+            The misfit over all records, and whether it speaks against the coherence of the model, or the mast.
 
         Raises
         ------
         InputError
-            If the fit used variances alone.
+            If the fit used the variances of the beams alone.
         """
         found = coherence_of(self)
         if found is None:
             raise InputError(
-                "The fit has no covariances between beams: fit with information='covariances' (--information "
-                "covariances)."
+                "The fit has neither covariances between beams nor a mast beside: fit with information='covariances' "
+                "(--information covariances), or with a mast."
             )
         return found
 

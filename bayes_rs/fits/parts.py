@@ -298,10 +298,10 @@ def _put_alone(
 
 
 def _pattern_table(columns: dict[str, FloatArray], part: Part, n_beam: int) -> pd.DataFrame:
-    """Lay out each record's part of the pattern, one column a pair; NaN where there is none."""
+    """Lay out each record's part of the pattern, one column a datum; NaN where the fit has none."""
     names = pattern_columns(n_beam)
     values = np.full((len(part.batch), len(names)), np.nan)
-    if columns and columns[PATTERN].shape[1] <= len(names):  # more pairs are those of a mast, which has no pattern
+    if columns:
         values[:, : columns[PATTERN].shape[1]] = columns[PATTERN]
     return pd.DataFrame({"record": part.record, "time": part.time, **dict(zip(names, values.T, strict=True))})
 

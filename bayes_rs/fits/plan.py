@@ -150,7 +150,7 @@ def plan_fit(
         prior_covariances=covariances,
         keep_draws=options.keeps_draws(len(batch)),
         beam=scan.beam,
-        alone=options.information == "covariances",
+        alone=batch.pairs is not None,
     )
     run = {
         **software(),

@@ -55,7 +55,7 @@ def write_report(
         them; or what `bayes_rs.wind.sonic_stresses` makes of it. The page then shows errors by wind speed.
     beside : Fit, str or Path, optional
         Another fit of the same records, or its folder: the page then shows both, matched by the starts of the records.
-        A fit that uses covariances has what the variances say by themselves beside it.
+        A fit that uses covariances or a mast has what the variances say by themselves beside it.
     budget : bool
         Show the uncertainty budget, too: `bayes_rs.budget` of the fit's records together, which takes seconds.
     overwrite : bool
@@ -125,17 +125,18 @@ def write_report(
 
 
 def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
-    """Return what the variances say by themselves beside a fit that uses covariances, if there is any."""
+    """Return what the variances say by themselves beside a fit that uses covariances or a mast, if there is any."""
     if VARIANCES not in fit.source.datasets or prob not in (None, fit.settings["fit"]["prob"]) or not fit.n_fitted:
         return None
     found = fit.coherence()
     words = found.in_words()
     note = (
-        f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have covariances as unlikely as "
+        f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have data beside as unlikely as "
         "one in a hundred."
     )
     alone = replace(data, numbers=fit.of_stresses(*NUMBERS, dataset=VARIANCES))
-    return replace(match_fits(data, alone, ("covariances", "variances")), note=note)
+    used = " and ".join(found.data) if "covariances" in found.data else "beams and mast"
+    return replace(match_fits(data, alone, (used, "variances")), note=note)
 
 
 def _match(fit: Fit, data: ReportData, beside: Fit | str | Path, prob: float | None) -> Beside:
