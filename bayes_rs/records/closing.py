@@ -162,15 +162,7 @@ class ClosingRecords:
         final = limit if np.any(state.time // self._window == limit) else limit - 1
         if not lane.blocks:
             return lane, []
-        earliest = np.argmin(state.time)
-        one = slice(earliest, earliest + 1)  # enough to say that the data go on
-        rest = replace(
-            state,
-            time=state.time[one],
-            beam=state.beam[one],
-            columns={name: values[one] for name, values in state.columns.items()},
-        )
-        ready = self._ready(lane, rest, final)
+        ready = self._ready(lane, state, final, later=int(state.time.min()) // self._window)
         if not ready:
             return lane, []
         begun = final if lane.next is None else max(final, lane.next)
@@ -180,8 +172,11 @@ class ClosingRecords:
         kept = [block.isel(record=_numbers(block, self._window) >= oldest) for block in lane.blocks]
         return replace(lane, next=begun, blocks=tuple(block for block in kept if block.sizes["record"])), ready
 
-    def _ready(self, lane: _Lane, rest: StreamState, final: int) -> list[xr.Dataset]:
-        """Return the records of the windows from the next one of a lane until one that is not final."""
+    def _ready(self, lane: _Lane, rest: StreamState, final: int, later: int | None = None) -> list[xr.Dataset]:
+        """Return the records of the windows from the next one of a lane until one that is not final.
+
+        Those of the samples in `rest` are the last, but where these are still open: the first is in the window `later`.
+        """
         first = _numbers(lane.blocks[0], self._window)[0] if lane.blocks else int(rest.time.min()) // self._window
         begin = int(first) if lane.next is None else lane.next
         # a sliding window lies within the data, to the next multiple of `every`
@@ -190,6 +185,8 @@ class ClosingRecords:
         begin, final = max(begin, -(-start // self._window)), min(final, end // self._window)
         if final <= begin:
             return []
+        if later is not None:
+            rest = replace(rest, time=rest.time[:0], beam=rest.beam[:0])
         samples = sum(json.loads(block.attrs[REPORT])["samples"] for block in lane.blocks) + len(rest.time)
         joined = join_blocks(
             list(lane.blocks),
@@ -197,14 +194,14 @@ class ClosingRecords:
             self.scan,
             beams=lane.beams,
             empty=self._empty_like(rest),
+            later=later,
             **self._made,
         )
         number = _numbers(joined, self._window)
         joined = _moved(joined, lane.offset)
-        return [
-            joined.isel(record=(number >= number[row] - self.before) & (number <= number[row]))
-            for row in np.flatnonzero((number >= begin) & (number < final))
-        ]
+        rows = np.flatnonzero((number >= begin) & (number < final)).tolist()
+        firsts = np.searchsorted(number, number - self.before).tolist()
+        return [joined.isel(record=slice(firsts[row], row + 1)) for row in rows]
 
     def _empty_like(self, state: StreamState) -> xr.Dataset:
         """Return a record without a sample of a series: made once, unless its columns or attributes change."""

@@ -228,10 +228,17 @@ def empty_record(
     return make_records(series, scan, quality=quality, **options).isel(record=1)
 
 
-def windows_of(blocks: Iterable[xr.Dataset], window: int, n_beam: int) -> NDArray[np.int64]:
-    """Return the numbers of the windows, since 1970, from the first record of some blocks to the last."""
+def windows_of(
+    blocks: Iterable[xr.Dataset], window: int, n_beam: int, *, later: int | None = None
+) -> NDArray[np.int64]:
+    """Return the numbers of the windows, since 1970, from the first record of some blocks to the last.
+
+    With the number of a `later` window that has a sample, up to that one, which is not among them.
+    """
     number = [block["time"].values.astype("datetime64[ns]").astype(np.int64) // window for block in blocks]
-    return record_windows(np.concatenate(number), window, n_beam)
+    if later is None:
+        return record_windows(np.concatenate(number), window, n_beam)
+    return record_windows(np.concatenate([*number, [later]]), window, n_beam)[:-1]
 
 
 def stack_alike(
@@ -371,19 +378,28 @@ def _with_span(records: xr.Dataset, samples: BeamSamples, chosen: RecordOptions)
     )
 
 
-def with_cut_off(records: xr.Dataset, scan: Scan, chosen: RecordOptions) -> xr.Dataset:
-    """Flag, in place, the beams with too few samples of records that the data only touch, and no others."""
+def with_cut_off(
+    records: xr.Dataset, scan: Scan, chosen: RecordOptions, *, later: int | None = None
+) -> xr.Dataset:
+    """Flag, in place, the beams with too few samples of records that the data only touch, and no others.
+
+    `later` is the number of a window behind all records that has a sample, too, where there is one.
+    """
     flag = records["flag"].values
     flag &= ~np.uint8(BEAM_FLAGS["cut_off"])
     expected = chosen.expected(scan)
+    start, first, last = (records.variables[name].values for name in ("time", "first_sample", "last_sample"))
+    if later is not None:
+        start = np.append(start, np.datetime64(later * chosen.window, "ns"))
+        first, last = np.append(first, 0.0), np.append(last, chosen.duration)
     touched = is_touched(
-        records["time"].values,
-        records["first_sample"].values,
-        records["last_sample"].values,
+        start,
+        first,
+        last,
         duration=chosen.duration,
         cycle=chosen.duration / expected,
         share=chosen.needed(scan) / expected,
-    )
+    )[: len(flag)]
     few = BEAM_FLAGS["too_few_samples"] | BEAM_FLAGS["all_missing"] | BEAM_FLAGS["no_samples"]
     flag[touched[:, np.newaxis] & ((flag & few) != 0)] |= BEAM_FLAGS["cut_off"]
     return records

@@ -217,6 +217,7 @@ def join_blocks(
     *,
     beams: IntArray | None = None,
     empty: xr.Dataset | None = None,
+    later: int | None = None,
     quality: QualityRules | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -232,6 +233,8 @@ def join_blocks(
         Beams that came before, of records that are no longer there.
     empty : Dataset, optional
         What `empty_record` says of such a series, if it is known.
+    later : int, optional
+        Number of a window behind all these samples that has one, too: the records go up to it.
     scan, quality, options
         As for `stream_records`.
 
@@ -257,7 +260,7 @@ def join_blocks(
     known = [] if beams is None else [beams]
     present = np.unique(np.concatenate([*known, *(block["beam"].values for block in blocks)]))
     beams = scan.beam[np.isin(scan.beam, present)]
-    windows = windows_of(blocks, window, len(beams))
+    windows = windows_of(blocks, window, len(beams), later=later)
     if empty is None:
         some_beam = int(blocks[0]["beam"].values[0])
         empty = empty_record(state.columns, state.attributes, some_beam, scan, quality=quality, **options)
@@ -269,7 +272,7 @@ def join_blocks(
     records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
     own = records["record_flag"].values & ~np.uint8(_OF_WIND)
     records["record_flag"].values[:] = own | of_wind
-    records = with_cut_off(records, scan, chosen)
+    records = with_cut_off(records, scan, chosen, later=later)
     report = _report(blocks, records, state, scan, window)
     absent = [number for number in scan.beam.tolist() if number not in beams]
     files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
@@ -447,9 +450,10 @@ def _check_same(blocks: Sequence[xr.Dataset], empty: xr.Dataset) -> None:
 
 def _layout_of(records: xr.Dataset) -> dict[str, dict[str, int]]:
     """Return the lengths of every variable's dimensions, without records and beams, which may be fewer."""
+    variables = records.variables
     return {
-        str(name): {str(dim): size for dim, size in data.sizes.items() if dim not in ("record", "beam")}
-        for name, data in records.data_vars.items()
+        str(name): {str(dim): size for dim, size in variables[name].sizes.items() if dim not in ("record", "beam")}
+        for name in records.data_vars
     }
 
 
