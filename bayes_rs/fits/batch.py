@@ -156,6 +156,8 @@ class RecordDraws:
         Whether the noise does not reach to the record.
     clipped : ndarray, shape (n_record,)
         What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
+    noise : RecordNoise, optional
+        The noise at the median of the records' length scales, where it was needed as a whole; not kept with others'.
     """
 
     chains: Chains
@@ -163,6 +165,7 @@ class RecordDraws:
     predicted: FloatArray
     outside: NDArray[np.bool_]
     clipped: FloatArray
+    noise: RecordNoise | None = None
 
     def take(self, records: NDArray[np.int64]) -> RecordDraws:
         """Return the draws of some of the records."""
@@ -277,6 +280,7 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
         predicted,
         at_record.outside,
         clipped,
+        at_record,
     )
 
 
