@@ -166,11 +166,16 @@ class ClosingRecords:
         if not ready:
             return lane, []
         begun = final if lane.next is None else max(final, lane.next)
-        number = np.concatenate([_numbers(block, self._window) for block in lane.blocks])
+        numbers = [_numbers(block, self._window) for block in lane.blocks]
+        number = np.concatenate(numbers)
         before = number[number < begun - self.before]
         oldest = before.max() if len(before) else 0  # stays: it says where the empty records behind it begin
-        kept = [block.isel(record=_numbers(block, self._window) >= oldest) for block in lane.blocks]
-        return replace(lane, next=begun, blocks=tuple(block for block in kept if block.sizes["record"])), ready
+        kept = [
+            block if own[0] >= oldest else block.isel(record=own >= oldest)
+            for block, own in zip(lane.blocks, numbers, strict=True)
+            if own[-1] >= oldest
+        ]
+        return replace(lane, next=begun, blocks=tuple(kept)), ready
 
     def _ready(self, lane: _Lane, rest: StreamState, final: int, later: int | None = None) -> list[xr.Dataset]:
         """Return the records of the windows from the next one of a lane until one that is not final.
