@@ -378,9 +378,7 @@ def _span(samples: BeamSamples, chosen: RecordOptions) -> dict[str, Any]:
     }
 
 
-def with_cut_off(
-    records: xr.Dataset, scan: Scan, chosen: RecordOptions, *, later: int | None = None
-) -> xr.Dataset:
+def with_cut_off(records: xr.Dataset, scan: Scan, chosen: RecordOptions, *, later: int | None = None) -> xr.Dataset:
     """Flag, in place, the beams with too few samples of records that the data only touch, and no others.
 
     `later` is the number of a window behind all records that has a sample, too, where there is one.

@@ -249,7 +249,8 @@ def join_blocks(
         If there is no sample, or the times span too many records.
     """
     if isinstance(scan, RangedScan):
-        return _join_ranges(blocks, state, scan, quality, options)
+        of_all = {"beams": beams, "empty": empty, "later": later, "quality": quality, **options}
+        return _join_ranges(blocks, state, scan, of_all)
     if len(state.time):
         last = _series(state.time, state.beam, state.columns, state.attributes)
         blocks = [*blocks, make_records(last, scan, quality=quality, **options)]
@@ -283,11 +284,12 @@ def _join_ranges(
     blocks: Sequence[xr.Dataset],
     state: StreamState,
     scan: RangedScan,
-    quality: QualityRules | None,
     options: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Put the records of a stream at several ranges together, range by range."""
+    """Put the records of a stream at several ranges together, range by range; the options are those of `join_blocks`."""
     index, beam = scan.split(state.beam)
+    came, making = options["beams"], {**options, "beams": None}
+    place_of, beam_of = (None, None) if came is None else scan.split(came)
     parts = [split_ranges(block) for block in blocks]
     joined: dict[int, xr.Dataset] = {}
     for place in range(scan.n_range):
@@ -305,19 +307,16 @@ def _join_ranges(
         )
         if joined:  # what is counted for all ranges together stands with the first
             of_range = replace(of_range, late=0, first_late="", out_of_order=0)
-        joined[place] = join_blocks(own, of_range, scan.at(place), quality=quality, **options)
+        if beam_of is not None:
+            making["beams"] = beam_of[place_of == place]
+        joined[place] = join_blocks(own, of_range, scan.at(place), **making)
     if not joined:
         raise InputError("Invalid series: it holds no sample; give files with samples.")
-    no_sample = partial(
-        empty_record,
-        state.columns,
-        state.attributes,
-        int(scan.of_one.beam[0]),
-        scan.at(0),
-        quality=quality,
-        **options,
-    )
-    return stack_alike(joined, scan, record_options(options).window, no_sample)
+    made = {name: value for name, value in options.items() if name not in ("beams", "empty", "later")}
+    some_beam, empty = int(scan.of_one.beam[0]), options["empty"]
+    no_sample = partial(empty_record, state.columns, state.attributes, some_beam, scan.at(0), **made)
+    window = record_options({name: value for name, value in made.items() if name != "quality"}).window
+    return stack_alike(joined, scan, window, no_sample if empty is None else lambda: empty)
 
 
 def _with_samples(block: xr.Dataset) -> xr.Dataset:
