@@ -238,14 +238,11 @@ def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = 
             for name in Chains.__dataclass_fields__
         }
     )
-    names = ("predicted", "outside", "clipped")
-    return RecordDraws(
-        chains=chains,
-        nuisances={
-            name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances
-        },
-        **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names},
+    nuisances = {name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances}
+    predicted, outside, clipped = (
+        np.concatenate([getattr(part, name) for part in parts])[order] for name in ("predicted", "outside", "clipped")
     )
+    return RecordDraws(chains, nuisances, predicted, outside, clipped)
 
 
 def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -> RecordDraws:

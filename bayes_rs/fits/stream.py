@@ -142,14 +142,14 @@ class Stream:
             if isinstance(given, Mapping):
                 raise InputError("The given noise is of several ranges, and these samples have none: give that of one.")
             return [_Place(scan, options, choice, given_noise(given), self._say).checked(self.settings)]
-        noises: dict[int, Noise] = {}
+        noises: dict[int, Noise | None] = {}
         if isinstance(given, Mapping):
             for distance, one in given.items():
                 noises[nearest_range(scan.range, distance)] = given_noise(one)
         elif given_noise(given) is not None:
             raise InputError(
-                f"The given noise is of one range, and these samples are of {scan.n_range}: give a mapping of each range "
-                "to its own, as noise={80.0: near, 120.0: far}, or leave it out, and it is made."
+                f"The given noise is of one range, and these samples are of {scan.n_range}: give a mapping of each "
+                "range to its own, as noise={80.0: near, 120.0: far}, or leave it out, and it is made."
             )
         return [
             _Place(

@@ -67,8 +67,9 @@ class ClosingRecords:
     A record is bit by bit what `make_records` makes of it in the whole series, with two exceptions. It has the beams
     that came so far. Whether blades pass is a matter of the whole series, and not tested. It is given out with the
     first sample that comes `lateness` after its end or later; whether the data are cut off within it is then known.
-    Of several ranges they have the dimension ``range``; the first chunk says which ranges there are, and one that ends
-    while others go on has too few samples, and is not said to be cut off. Those of a sliding window are the records of series whose clock is turned back by `every`, twice that, and so on.
+    Of several ranges records have the dimension ``range``. The first chunk says which ranges there are; one that ends
+    while others go on has too few samples then, and is not said to be cut off. Those of a sliding window are the
+    records of series whose clock is turned back by `every`, twice that, and so on.
     In memory are the samples of open records, and `before` records.
 
     Examples

@@ -45,7 +45,8 @@ def on_grid(
         both = template.dims[:2] == ("record", "beam")
         shape = (len(windows), len(beams), *template.shape[2:]) if both else (len(windows), *template.shape[1:])
         values = np.full(shape, unsampled[name].values.ravel()[0], dtype=template.dtype)
-        for of, place in zip(held, cells if both else rows, strict=True):
+        places: Sequence[Any] = cells if both else rows
+        for of, place in zip(held, places, strict=True):
             values[place] = of[name].values
         variables[str(name)] = (template.dims, values, template.attrs)
     start = (windows * window).astype("datetime64[ns]")

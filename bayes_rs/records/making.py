@@ -152,7 +152,7 @@ def make_records(
     more: dict[str, Any] = {
         **block_statistics(samples, filtered.keep, of_scan, window=chosen.window, used=records["flag"].values == 0)
     }
-    of_beams: dict[str, Any] = {}
+    of_beams: Mapping[str, str] = {}
     if chosen.correlations:
         together, of_beams = beam_correlation(samples, filtered.keep, of_scan, needed=chosen.needed(of_scan))
         more |= together

@@ -286,7 +286,7 @@ def _join_ranges(
     scan: RangedScan,
     options: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Put the records of a stream at several ranges together, range by range; the options are those of `join_blocks`."""
+    """Put the records of a stream at several ranges together, range by range; options are those of `join_blocks`."""
     index, beam = scan.split(state.beam)
     came, making = options["beams"], {**options, "beams": None}
     place_of, beam_of = (None, None) if came is None else scan.split(came)

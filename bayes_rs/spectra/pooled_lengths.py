@@ -154,7 +154,6 @@ def _fine(log_density: FloatArray, coarse: FloatArray, node: FloatArray) -> Floa
 
 def _distribution(node: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
     """Return the distribution of ln L at nodes for each set of hyperparameters, shape (n_node, n_hyper)."""
-
     # of one class of wind speeds the slope does not matter: those that are the same are calculated once
     pairs, place = np.unique(centre + 1j * spread, return_inverse=True)
 
