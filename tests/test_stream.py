@@ -8,10 +8,13 @@ import pytest
 import xarray as xr
 
 import bayes_rs as brs
+from bayes_rs import processor
 from bayes_rs.errors import InputError
 from bayes_rs.fits.range_job import seed_of_range
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.priors.interface import LogRatioPrior
+from bayes_rs.records import stream as record_stream
+from bayes_rs.spectra import pooled_noise
 
 SCAN = "2-beam"
 FLOW = "fu-2022"
@@ -287,6 +290,49 @@ class TestWork:
         # every sample once; one of the next record with each; and once what an empty record is
         assert sum(size for size in calls["sorted"] if size > 2) == series.sizes["sample"]
         assert len([size for size in calls["sorted"] if size <= 2]) <= N_RECORD + 1
+
+
+class TestKept:
+    """By counts: what is the same for records that follow each other is not calculated again."""
+
+    @staticmethod
+    def counted(monkeypatch, where, name):
+        calls, function = [], getattr(where, name)
+
+        def counting(*args, **options):
+            calls.append(args)
+            return function(*args, **options)
+
+        monkeypatch.setattr(where, name, counting)
+        return calls
+
+    def test_no_record_is_made_of_the_window_that_is_open(self, series, noise_of_one_length, monkeypatch):
+        calls = self.counted(monkeypatch, record_stream, "make_records")
+        run(series, noise=noise_of_one_length)
+        assert len(calls) == N_RECORD
+
+    def test_what_the_octaves_of_a_record_say_is_calculated_once(self, series, noise, monkeypatch):
+        pooled_noise._kept_density.cache_clear()
+        calls = self.counted(monkeypatch, pooled_noise, "_density")
+        run(series, noise=noise, memory=3)
+        assert len(calls) == N_RECORD
+
+    def test_the_noise_of_a_record_is_found_once_to_look_at_beams_and_once_to_fit(self, series, noise, monkeypatch):
+        calls = self.counted(monkeypatch, type(noise), "for_records")
+        run(series, noise=noise, memory=0)
+        assert len(calls) == 2 * N_RECORD  # for its three length scales together
+
+    def test_libraries_are_looked_for_once(self, series, noise_of_one_length, monkeypatch):
+        processor._libraries.cache_clear()
+        calls = self.counted(monkeypatch, processor, "ThreadpoolController")
+        run(series, noise=noise_of_one_length)
+        assert len(calls) == 1
+
+    def test_key_of_a_scan(self, monkeypatch):
+        scan = brs.load_scan(SCAN)
+        calls = self.counted(monkeypatch, type(scan), "geometry")
+        assert scan.key == scan.select(scan.beam).key
+        assert len(calls) == 1
 
 
 class TestRefused:
