@@ -46,7 +46,7 @@ class Stream:
     settings : Settings, str or Path, optional
         How records are made and fitted: the sections ``records``, ``quality``, ``noise`` and ``fit`` of settings, or of
         their file. Files and the folder of results play no part.
-    noise : Noise, str or Path, optional
+    noise : Noise, str, Path or mapping, optional
         Noise of this scan and record length, or its file; of several ranges a mapping of each range, m, to its own. By
         default it is made once, when the first record with a wind closes, and kept: at least for 3 to 25 m/s, for
         directions up to 20° to both sides of that record's, and for length scales from 10 to 320 m, or for the one of
@@ -132,8 +132,8 @@ class Stream:
         """The noise: given, or made for the first record; None until then. Of several ranges that of each, by its m."""
         if not isinstance(self.scan, RangedScan):
             return self._places[0].noise if self._places else None
-        named = zip(self.scan.range.tolist(), self._places, strict=True)
-        return {distance: place.noise for distance, place in named if place.noise is not None} or None
+        places = zip(self.scan.range.tolist(), self._places, strict=True)
+        return {distance: place.noise for distance, place in places if place.noise is not None} or None
 
     def _made(self, scan: Scan) -> list[_Place]:
         """Return the places that records of a scan are of, with the noise that is given."""
@@ -233,6 +233,7 @@ class _Place:
     noise: Noise | None
     say: Callable[[str], None]
     plan: Plan | None = None
+    section: dict[str, Any] | None = None
 
     def checked(self, settings: Settings) -> _Place:
         """Return this place, if its noise is of its scan and of records of the settings."""
@@ -256,7 +257,8 @@ class _Place:
         with one_thread():
             found, told = noise_and_records(records, self.scan, self.noise, own, self.choice, lambda line: None)  # noqa: ARG005
             self.plan = plan_fit(told, self.scan, found, own, inputs={}, like=self.plan)
-        plan = with_settings(of_last_record(self.plan), noise=noise_section(self.choice, self.noise))
+        self.section = self.section or noise_section(self.choice, self.noise)
+        plan = with_settings(of_last_record(self.plan), noise=self.section)
         return fit_in_memory(plan, 1, None, progress=False)
 
 
