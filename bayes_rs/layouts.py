@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
@@ -125,8 +126,9 @@ def check_dataset(
     for name in needs:
         if name not in dataset.variables:
             raise InputError(f"{what} have no {name} with dims {layout[name].dims}: {advice}.")
+    variables = dataset.variables
     for name, entry in layout.items():
-        words = _fault_of(dataset[name].variable, entry, optional_dim) if name in dataset.variables else ""
+        words = _fault_of(variables[name], entry, optional_dim) if name in variables else ""
         if words:
             raise InputError(f"{what} cannot be used: {name} {words}; {advice}.")
     if attributes is not None:
@@ -304,7 +306,8 @@ def _type_words(dtype: Any) -> str:
     return next((words for kinds, words in _KINDS.values() if dtype.kind in kinds), f"values of type {dtype}")
 
 
-def _unit(text: str) -> dict[str, int]:
+@lru_cache(maxsize=256)
+def _unit(text: str) -> Mapping[str, int]:
     """Return the powers of the units in a text: those of ``m s-1``, ``m/s`` and ``m·s⁻¹`` are the same."""
     plain = text.strip().lower().translate(_POWERS)
     if square := _SQUARE.fullmatch(plain):

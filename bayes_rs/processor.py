@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_info
 
 if sys.platform == "win32":
     import _winapi
@@ -79,7 +79,13 @@ def end_with(parent: int) -> None:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Have BLAS calculate with one thread: sums are then in one order, whatever the number of cores."""
+    with _libraries().limit(limits=1):
+        yield
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries whose threads are limited, found once: to look through all that are loaded takes 1 ms."""
     import scipy.linalg  # noqa: F401, PLC0415 - it brings a BLAS of its own, and only one that is there is limited
 
-    with threadpool_limits(1):
-        yield
+    return ThreadpoolController()

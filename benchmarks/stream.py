@@ -1,8 +1,8 @@
 """What a record costs in a stream: python benchmarks/stream.py [--records 12].
 
 CPU of `Stream.add` for the chunks with which a record closes, and for those with which none does, in milliseconds:
-median over simulated ten-minute records of two scans, chunks of 10 s. The noise is given. Beside it, what a record
-costs in one fit of all of them.
+median over simulated ten-minute records of two scans, chunks of 10 s. The noise is given. Beside it, what the record
+alone costs, without a fit, and what each costs in one fit of all of them.
 """
 
 import argparse
@@ -14,11 +14,13 @@ import xarray as xr
 
 import bayes_rs as brs
 from bayes_rs.fits.noise_choice import NET_LENGTHS
+from bayes_rs.records.closing import ClosingRecords
 
 NOTHING_POOLED = {"instrument_noise": 0.0, "scatter": "theory", "unsteady_level": 0.0}
 BEFORE = 36  # records that fill the longest memory
 KINDS = {
     "defaults, memory 5": {},
+    "direct, memory 5": {"sampler": "direct"},
     "memory 0": {"memory": 0},
     "memory 35": {"memory": 35},
     "nothing learnt": {"memory": 0, **NOTHING_POOLED},
@@ -43,13 +45,15 @@ def main() -> None:
             some = series.isel(sample=slice(skipped * series.sizes["sample"] // (n_record + BEFORE), None))
             closing, other = measured(brs.Stream(scan, noise=noise, seed=1, **options), some, scan.n_beam)
             print(f"{name:8} {kind:24} {np.median(closing[-n_record:]):6.0f} {np.median(other):6.1f}", flush=True)
+        closing, other = measured(ClosingRecords(scan, before=5), some, scan.n_beam)
+        print(f"{name:8} {'records, no fit':24} {np.median(closing[-n_record:]):6.0f} {np.median(other):6.1f}")
         records = brs.make_records(series, scan)
         began = time.process_time()
         brs.fit(records, scan, noise=many, seed=1, campaign="off")
         print(f"{name:8} {'all in one fit':24} {1e3 * (time.process_time() - began) / records.sizes['record']:6.1f}")
 
 
-def measured(stream: brs.Stream, series: xr.Dataset, n_beam: int) -> tuple[list[float], list[float]]:
+def measured(stream: brs.Stream | ClosingRecords, series: xr.Dataset, n_beam: int) -> tuple[list[float], list[float]]:
     """Return milliseconds of CPU of the chunks that close a record, and of the others."""
     closing, other = [], []
     for first in range(0, series.sizes["sample"], 10 * n_beam):

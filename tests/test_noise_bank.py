@@ -292,6 +292,17 @@ class TestInterpolation:
             below, above = (combine(net.weights([[node + step]])[0], values) for step in (-1e-9, 1e-9))
             np.testing.assert_allclose(below, above, atol=1e-7)
 
+    @pytest.mark.parametrize("size", [(), (1,), (6,), (6, 6), (30, 30)])
+    def test_no_row_depends_on_those_beside_it(self, size):
+        """Few rows are combined one by one, and many state by state: to the last bit the same."""
+        rng = np.random.default_rng(5)
+        weights = np.where(rng.random((200, 60)) < 0.5, rng.normal(size=(200, 60)), 0.0)
+        values = rng.normal(size=(60, *size))
+        together = combine(weights, values)
+        np.testing.assert_array_equal(together, [combine(row[None], values)[0] for row in weights])
+        np.testing.assert_array_equal(together[:7], combine(weights[:7], values))
+        np.testing.assert_allclose(together, np.tensordot(weights, values, axes=1), atol=1e-12)
+
     def test_two_axes_in_any_order(self):
         states = np.array([(a, b) for a in (0.0, 1.0, 3.0) for b in (-1.0, 2.0)])[
             np.random.default_rng(4).permutation(6)

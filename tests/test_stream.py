@@ -8,13 +8,20 @@ import pytest
 import xarray as xr
 
 import bayes_rs as brs
+from bayes_rs import processor
 from bayes_rs.errors import InputError
+from bayes_rs.fits.range_job import seed_of_range
+from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.priors.interface import LogRatioPrior
+from bayes_rs.records import stream as record_stream
+from bayes_rs.spectra import pooled_noise
 
 SCAN = "2-beam"
 FLOW = "fu-2022"
 SEED = 3
 N_RECORD = 4
+RANGES = (60.0, 120.0)
+SECOND = np.timedelta64(1, "s")
 NOTHING_POOLED = {"instrument_noise": 0.0, "scatter": "theory", "unsteady_level": 0.0, "turbulence": FLOW}
 
 
@@ -39,6 +46,26 @@ def noise():
 @pytest.fixture(scope="module")
 def noise_of_one_length():
     return brs.noise.calibrate(SCAN, FLOW, wind_speed=[5.0, 20.0], yaw_deg=[-20.0, 20.0], tolerance=0.05)
+
+
+@pytest.fixture(scope="module")
+def ranged():
+    """A series at two ranges, whose samples come together."""
+    parts = []
+    for distance in RANGES:
+        own = brs.simulate(
+            f"{SCAN}@focus_distance={distance:g}", FLOW, wind_speed=10.0, n_records=3, seed=int(distance)
+        )
+        parts.append(own.assign_coords(range=("sample", np.full(own.sizes["sample"], distance))))
+    return xr.concat(parts, dim="sample").drop_attrs().sortby(["time", "range"])
+
+
+@pytest.fixture(scope="module")
+def run_of_ranges(ranged):
+    lines = []
+    stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW, memory=1, sampler="direct", say=lines.append)
+    found = [fit for piece in pieces(ranged, 1100) for fit in stream.add(piece)]
+    return stream, [*found, *stream.close()], lines
 
 
 def pieces(series, size):
@@ -130,6 +157,73 @@ class TestSlidingWindow:
         same(found[3], brs.fit(records, SCAN, noise=stream.noise, seed=SEED, **own), 0)
 
 
+class TestSeveralRanges:
+    """Each range has the numbers of a fit of its records alone, and those that are not there hold nothing up."""
+
+    def test_numbers_are_those_of_the_batch(self, ranged, run_of_ranges):
+        stream, found, _ = run_of_ranges
+        records = brs.make_records(ranged, SCAN)
+        assert len(found) == records.sizes["record"] == 3
+        assert list(stream.noise) == list(RANGES)
+        for number, one in enumerate(found):
+            assert isinstance(one, RangedFit)
+            for distance in RANGES:
+                some = brs.records.at_range(records, distance).isel(record=slice(max(number - 1, 0), number + 1))
+                seed = one.at(distance).run["settings"]["fit"]["seed"]
+                assert seed == seed_of_range(SEED, distance)
+                options = {"noise": stream.noise[distance], "campaign": "off", "sampler": "direct"}
+                same(one.at(distance), brs.fit(some, SCAN, seed=seed, **options), -1)
+
+    def test_records_are_those_of_make_records(self, ranged, run_of_ranges):
+        records = brs.make_records(ranged, SCAN)
+        for number, one in enumerate(run_of_ranges[1]):
+            assert one.records.sizes["record"] == 1
+            for name in ("variance", "mean", "count", "flag", "wind_speed", "yaw", "octave_variance"):
+                assert one.records[name].values.tobytes() == records[name].values[:, [number]].tobytes()
+
+    def test_together_they_are_a_fit_at_several_ranges(self, run_of_ranges):
+        one = run_of_ranges[1][0]
+        assert one.profile()["range"].unique().tolist() == list(RANGES)
+        assert one.summary()["range"].unique().tolist() == list(RANGES)
+        assert one.n_fitted == 2
+
+    def test_each_range_has_noise_of_its_own(self, run_of_ranges):
+        stream, _, lines = run_of_ranges
+        assert [line.split(":")[0] for line in lines] == ["range 60 m", "range 120 m"]
+        assert stream.noise[60.0].scan_geometry["focus_distance"] == [60.0, 60.0]
+        assert stream.noise[120.0].scan_geometry["focus_distance"] == [120.0, 120.0]
+
+    def test_noise_that_another_stream_has_made_is_taken(self, ranged, run_of_ranges):
+        before, found, _ = run_of_ranges
+        lines = []
+        stream = brs.Stream(
+            SCAN, seed=SEED, turbulence=FLOW, memory=1, sampler="direct", noise=before.noise, say=lines.append
+        )
+        first = stream.add(ranged)[0]
+        assert lines == []
+        for distance in RANGES:
+            same(first.at(distance), found[0].at(distance), 0)
+
+    def test_a_range_without_wind_does_not_hold_up_the_others(self, ranged, run_of_ranges):
+        still = ranged["radial_velocity"].copy()
+        still.values[ranged["range"].values == RANGES[1]] = np.nan
+        stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW, memory=1, sampler="direct")
+        found = stream.add(ranged.assign(radial_velocity=still))
+        assert len(found) == 2
+        assert list(stream.noise) == [RANGES[0]]
+        assert list(found[0].fits) == [0]
+        same(found[0].at(RANGES[0]), run_of_ranges[1][0].at(RANGES[0]), 0)
+
+    def test_of_a_sliding_window(self, ranged, run_of_ranges):
+        stream = brs.Stream(
+            SCAN, seed=SEED, turbulence=FLOW, memory=0, sampler="direct", noise=run_of_ranges[0].noise, every=300.0
+        )
+        found = stream.add(ranged.isel(sample=slice(0, 4400)))  # 1100 s
+        assert [one.time[0] for one in found] == [ranged["time"].values[0], ranged["time"].values[0] + 300 * SECOND]
+        records = brs.make_records(ranged, SCAN)
+        assert found[0].records["variance"].values.tobytes() == records["variance"].values[:, :1].tobytes()
+
+
 class TestNoise:
     def test_is_made_once_for_later_winds_and_kept(self, series):
         lines = []
@@ -198,6 +292,49 @@ class TestWork:
         assert len([size for size in calls["sorted"] if size <= 2]) <= N_RECORD + 1
 
 
+class TestKept:
+    """By counts: what is the same for records that follow each other is not calculated again."""
+
+    @staticmethod
+    def counted(monkeypatch, where, name):
+        calls, function = [], getattr(where, name)
+
+        def counting(*args, **options):
+            calls.append(args)
+            return function(*args, **options)
+
+        monkeypatch.setattr(where, name, counting)
+        return calls
+
+    def test_no_record_is_made_of_the_window_that_is_open(self, series, noise_of_one_length, monkeypatch):
+        calls = self.counted(monkeypatch, record_stream, "make_records")
+        run(series, noise=noise_of_one_length)
+        assert len(calls) == N_RECORD
+
+    def test_what_the_octaves_of_a_record_say_is_calculated_once(self, series, noise, monkeypatch):
+        pooled_noise._kept_density.cache_clear()
+        calls = self.counted(monkeypatch, pooled_noise, "_density")
+        run(series, noise=noise, memory=3)
+        assert len(calls) == N_RECORD
+
+    def test_the_noise_of_a_record_is_found_once_to_look_at_beams_and_once_to_fit(self, series, noise, monkeypatch):
+        calls = self.counted(monkeypatch, type(noise), "for_records")
+        run(series, noise=noise, memory=0)
+        assert len(calls) == 2 * N_RECORD  # for its three length scales together
+
+    def test_libraries_are_looked_for_once(self, series, noise_of_one_length, monkeypatch):
+        processor._libraries.cache_clear()
+        calls = self.counted(monkeypatch, processor, "ThreadpoolController")
+        run(series, noise=noise_of_one_length)
+        assert len(calls) == 1
+
+    def test_key_of_a_scan(self, monkeypatch):
+        scan = brs.load_scan(SCAN)
+        calls = self.counted(monkeypatch, type(scan), "geometry")
+        assert scan.key == scan.select(scan.beam).key
+        assert len(calls) == 1
+
+
 class TestRefused:
     @pytest.mark.parametrize(
         ("options", "words"),
@@ -228,10 +365,27 @@ class TestRefused:
         with pytest.raises(InputError, match="came too late"):
             stream.add(series.isel(sample=slice(0, 10)))
 
-    def test_several_ranges(self, series, noise_of_one_length):
-        several = series.assign_coords(range=("sample", np.repeat([50.0, 100.0], series.sizes["sample"] // 2)))
-        with pytest.raises(InputError, match="of 2 ranges"):
-            brs.Stream(SCAN, noise=noise_of_one_length).add(several)
+    def test_one_noise_for_several_ranges(self, ranged, noise_of_one_length):
+        with pytest.raises(InputError, match="of one range, and these samples are of 2: give a mapping of each range"):
+            brs.Stream(SCAN, noise=noise_of_one_length).add(ranged)
+
+    def test_noises_of_ranges_for_samples_without(self, series, noise_of_one_length):
+        with pytest.raises(InputError, match="noise is of several ranges, and these samples have none"):
+            brs.Stream(SCAN, noise={60.0: noise_of_one_length}).add(series)
+
+    def test_samples_with_and_without_ranges(self, series, ranged):
+        stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW)
+        stream.add(ranged.isel(sample=slice(0, 100)))
+        with pytest.raises(InputError, match="samples have no range, and those before have a range"):
+            stream.add(series.isel(sample=slice(100, 200)))
+        stream.add(ranged.isel(sample=slice(100, 200)))  # nothing of the others was taken
+
+    def test_a_range_that_the_first_samples_do_not_have(self, ranged):
+        stream = brs.Stream(SCAN, seed=SEED, turbulence=FLOW)
+        near = ranged["range"].values == RANGES[0]
+        stream.add(ranged.isel(sample=np.flatnonzero(near)[:100]))
+        with pytest.raises(InputError, match="Unknown range 120 m in the series"):
+            stream.add(ranged.isel(sample=np.flatnonzero(~near)[:100]))
 
 
 def test_a_fit_of_a_stream_draws_and_tells(series, noise_of_one_length):

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import scipy
 import xarray as xr
 
 import bayes_rs as brs
@@ -14,6 +15,8 @@ from bayes_rs.campaign.table import campaign_table
 from bayes_rs.likelihoods.reduced_noise import ReducedRecordNoise
 from bayes_rs.likelihoods.scattered import shifted, shifted_reduced
 from bayes_rs.noise.by_theory import theory_noise
+from bayes_rs.spectra import pooled_noise
+from bayes_rs.spectra.octave_likelihood import log_sum
 from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, pool_noise
 from bayes_rs.spectra.record_lengths import REPORT, _octaves, with_own_length_scale, with_told_noise
 from bayes_rs.spectra.told_noise import NOISE_REPORT, noise_words
@@ -255,3 +258,24 @@ class TestMoments:
         whole = np.log1p(shifted(at, self.SD).covariance)
         np.testing.assert_allclose(found.covariance, left.T @ whole @ left, atol=1e-12)
         np.testing.assert_allclose(found.log_variance, np.einsum("rbb->rb", whole), rtol=1e-12)
+
+
+class TestToTheLastBit:
+    """What is made faster has the same bits: draws depend on them."""
+
+    @pytest.mark.parametrize("shape", [(171, 147), (6, 23, 57), (1, 171), (4, 1)])
+    def test_sums_of_exponentials_are_those_of_scipy(self, shape):
+        values = 30.0 * np.random.default_rng(1).normal(size=shape)
+        values[..., -1] = values.max(axis=-1)  # two that are the largest
+        np.testing.assert_array_equal(log_sum(values), scipy.special.logsumexp(values, axis=-1))
+
+    def test_records_one_by_one_say_what_they_say_together(self, monkeypatch):
+        records = simulated(noise=0.2, n_records=6)
+        _, octaves = _octaves(records, SIX, 3.2)
+        one_by_one = pool_noise(octaves, median=61.0, log_sd=0.8)
+        again = pool_noise(octaves, median=61.0, log_sd=0.8)  # of what is kept
+        monkeypatch.setattr(pooled_noise, "_KEPT", 0)
+        together = pool_noise(octaves, median=61.0, log_sd=0.8)
+        for name in ("log_share", "log_sd", "power", "common_log_sd"):
+            np.testing.assert_array_equal(getattr(one_by_one, name), getattr(together, name))
+            np.testing.assert_array_equal(getattr(one_by_one, name), getattr(again, name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -174,11 +175,16 @@ def independent_patterns(covariance: FloatArray, patterns: Patterns) -> float:
         return 1.0
     precision = np.linalg.inv(covariance)
     weight = np.einsum("pb,pb->p", patterns.matrix @ precision, patterns.matrix)
-    normal = np.random.default_rng(_NULL_SEED).standard_normal((_N_NULL, len(covariance)))
-    pull = normal @ np.linalg.cholesky(0.5 * (precision + precision.T)).T
+    pull = _normal(len(covariance)) @ np.linalg.cholesky(0.5 * (precision + precision.T)).T
     largest = np.max(np.abs(pull @ patterns.matrix.T) / np.sqrt(weight), axis=1)
     at = float(np.quantile(largest, 1.0 - _NULL_LEVEL))
     return float(np.clip(np.log1p(-_NULL_LEVEL) / np.log1p(-2.0 * scipy.special.ndtr(-at)), 1.0, len(patterns)))
+
+
+@lru_cache(maxsize=4)
+def _normal(number: int) -> FloatArray:
+    """Return independent normal numbers, (_N_NULL, number), the same for all covariances."""
+    return np.random.default_rng(_NULL_SEED).standard_normal((_N_NULL, number))
 
 
 def largest_tail(score: FloatArray, count: float) -> FloatArray:

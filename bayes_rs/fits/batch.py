@@ -156,6 +156,8 @@ class RecordDraws:
         Whether the noise does not reach to the record.
     clipped : ndarray, shape (n_record,)
         What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
+    noise : RecordNoise, optional
+        The noise at the median of the records' length scales, where it was needed as a whole; not kept with others'.
     """
 
     chains: Chains
@@ -163,6 +165,7 @@ class RecordDraws:
     predicted: FloatArray
     outside: NDArray[np.bool_]
     clipped: FloatArray
+    noise: RecordNoise | None = None
 
     def take(self, records: NDArray[np.int64]) -> RecordDraws:
         """Return the draws of some of the records."""
@@ -235,14 +238,11 @@ def join_draws(parts: Sequence[RecordDraws], order: NDArray[np.int64] | slice = 
             for name in Chains.__dataclass_fields__
         }
     )
-    names = ("predicted", "outside", "clipped")
-    return RecordDraws(
-        chains=chains,
-        nuisances={
-            name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances
-        },
-        **{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names},
+    nuisances = {name: np.concatenate([part.nuisances[name] for part in parts])[order] for name in parts[0].nuisances}
+    predicted, outside, clipped = (
+        np.concatenate([getattr(part, name) for part in parts])[order] for name in ("predicted", "outside", "clipped")
     )
+    return RecordDraws(chains, nuisances, predicted, outside, clipped)
 
 
 def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -> RecordDraws:
@@ -277,6 +277,7 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
         predicted,
         at_record.outside,
         clipped,
+        at_record,
     )
 
 

@@ -65,18 +65,19 @@ def with_block_checks(
     if states is None or not states.compared.any():
         return records
     level = options.unsteady_level if options.unsteady_level > 0.0 else _LEVEL
-    changes = find_changes(records, states)
+    changes, more = find_changes(records, states), dict[str, Any]()
     scatter = learn_scatter(records, states, leave_out=np.asarray(changes.clear(level).any(axis=1)))
     if options.scatter == "records":
-        records = _with_scatter(records, scatter)
+        more |= _of_scatter(scatter)
         say(_scatter_words(scatter))
     if options.unsteady_level > 0.0:
         if scatter.depth > _ROUNDED:
             modulation = Modulation(float(np.round(scatter.depth, 2)), float(np.round(scatter.time_scale)))
             changes = find_changes(records, states, modulation)
-        records = _with_changes(records, changes, level)
-        say(_change_words(records, changes, level))
-    return records
+        of_changes = _of_changes(changes, level)
+        say(_change_words(of_changes, changes, level))
+        more |= of_changes
+    return records.assign(more)
 
 
 def unsteady_records(records: xr.Dataset, scan: Scan, turbulence: MannTurbulence, level: float) -> BoolArray:
@@ -104,33 +105,32 @@ def unsteady_records(records: xr.Dataset, scan: Scan, turbulence: MannTurbulence
     return np.asarray(find_changes(records, states).clear(level).any(axis=1))
 
 
-def _with_scatter(records: xr.Dataset, scatter: VarianceScatter) -> xr.Dataset:
+def _of_scatter(scatter: VarianceScatter) -> dict[str, Any]:
     words = "relative variance of the variances beyond theory"
-    return records.assign(
-        variance_scatter=("record", scatter.common, {"long_name": f"{words}, that all beams share"}),
-        variance_scatter_of_beams=("record", scatter.own, {"long_name": f"{words}, of each beam by itself"}),
-    )
+    return {
+        "variance_scatter": ("record", scatter.common, {"long_name": f"{words}, that all beams share"}),
+        "variance_scatter_of_beams": ("record", scatter.own, {"long_name": f"{words}, of each beam by itself"}),
+    }
 
 
-def _with_changes(records: xr.Dataset, changes: Changes, level: float) -> xr.Dataset:
+def _of_changes(changes: Changes, level: float) -> dict[str, Any]:
     size, added = changes.size(level), changes.added(level)
     values: list[FloatArray] = [size[:, 0], size[:, 1], added[:, 0], added[:, 1], added[:, 2]]
     p_value = np.full(len(size), np.nan)
     known = np.isfinite(changes.p_value).any(axis=1)
     p_value[known] = np.nanmin(changes.p_value[known], axis=1)
-    found: dict[str, Any] = {
-        name: ("record", value, {"units": unit, "long_name": words})
-        for (name, (unit, words)), value in zip(CHANGES.items(), values, strict=True)
-    }
-    return records.assign(
-        unsteady=(
+    return {
+        "unsteady": (
             "record",
             changes.clear(level).any(axis=1).astype(np.int8),
             {"long_name": "whether the wind changes as by a front or a trend"},
         ),
-        unsteady_p_value=("record", p_value, {"long_name": "p-value of the clearest change of the wind"}),
-        **found,
-    )
+        "unsteady_p_value": ("record", p_value, {"long_name": "p-value of the clearest change of the wind"}),
+        **{
+            name: ("record", value, {"units": unit, "long_name": words})
+            for (name, (unit, words)), value in zip(CHANGES.items(), values, strict=True)
+        },
+    }
 
 
 def _scatter_words(scatter: VarianceScatter) -> str:
@@ -145,16 +145,17 @@ def _scatter_words(scatter: VarianceScatter) -> str:
     )
 
 
-def _change_words(records: xr.Dataset, changes: Changes, level: float) -> str:
+def _change_words(found: dict[str, Any], changes: Changes, level: float) -> str:
     """Say how many records are unsteady, and by how much at most."""
     known = np.isfinite(changes.p_value).any(axis=1)
-    unsteady = np.flatnonzero(records["unsteady"].values)
+    unsteady, change, added = (found[name][1] for name in ("unsteady", "wind_change", "change_uu"))
+    unsteady = np.flatnonzero(unsteady)
     line = f"steadiness: {len(unsteady)} of {np.count_nonzero(known)} records with a front or a trend"
     line += f" ({100.0 * level:g} % of steady ones are expected to seem so)"
     if len(unsteady) == 0:
         return line
-    worst = unsteady[np.argmax(np.abs(records["wind_change"].values[unsteady]))]
+    worst = unsteady[np.argmax(np.abs(change[unsteady]))]
     return (
-        f"{line}; largest change of the wind {float(records['wind_change'][worst]):+.1f} m/s in record {worst}, which "
-        f"adds {float(records['change_uu'][worst]):.2g} m² s⁻² to uu"
+        f"{line}; largest change of the wind {change[worst]:+.1f} m/s in record {worst}, which "
+        f"adds {added[worst]:.2g} m² s⁻² to uu"
     )

@@ -91,15 +91,15 @@ class BlockStates:
 
     def theory(self, state: State) -> BlockTheory:
         """Return what theory expects in a state."""
-        chosen = chosen_beams(self.scan)
-        on = [beam for index, beam in enumerate(chosen.beam.tolist()) if state.pattern >> index & 1]
-        return _theory(
-            _Hashed(chosen.select(on)),
-            replace(self.turbulence, length_scale=float(np.exp(_LENGTH_STEP * state.length)), name="", source=""),
-            float(np.exp(_SPEED_STEP * state.speed)),
-            float(_YAW_STEP * state.yaw),
-            self.duration,
-        )
+        if state not in self._made:
+            self._made[state] = _theory(
+                _in_use(_Hashed(self.scan), state.pattern),
+                replace(self.turbulence, length_scale=float(np.exp(_LENGTH_STEP * state.length)), name="", source=""),
+                float(np.exp(_SPEED_STEP * state.speed)),
+                float(_YAW_STEP * state.yaw),
+                self.duration,
+            )
+        return self._made[state]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +113,13 @@ class _Hashed:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Hashed) and (self.scan.key, self.scan.yaw) == (other.scan.key, other.scan.yaw)
+
+
+@lru_cache(maxsize=256)
+def _in_use(scan: _Hashed, pattern: int) -> _Hashed:
+    """Return the scan of those of the chosen beams whose bits are in a pattern."""
+    chosen = chosen_beams(scan.scan)
+    return _Hashed(chosen.select([beam for index, beam in enumerate(chosen.beam.tolist()) if pattern >> index & 1]))
 
 
 @lru_cache(maxsize=1024)

@@ -212,7 +212,11 @@ def fit_in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) 
             note_processor(kinds, done.processor)
             bar.update(len(done.tables["posterior"]))
     finished.sort(key=lambda done: done.index)
-    tables = {name: pd.concat([done.tables[name] for done in finished], ignore_index=True) for name in plan.datasets}
+    tables = finished[0].tables
+    if len(finished) > 1:
+        tables = {
+            name: pd.concat([done.tables[name] for done in finished], ignore_index=True) for name in plan.datasets
+        }
     learnt = campaign_in_memory(plan, tables, Crew(workers, client, silent))
     run = {**plan.run, "campaign": learnt.about, "processors": kinds}
     return Fit(run, plan.scan, MemoryTables({**tables, **learnt.tables}), _InMemory(plan, learnt))

@@ -11,13 +11,14 @@ from bayes_rs.geometry.scan import yaw_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 from bayes_rs.likelihoods.least_squares import Solved, pseudo_inverse
 from bayes_rs.noise.noise import Noise
+from bayes_rs.noise.record_noise import RecordNoise
 
 MOST_BEAMS = 128
 """Scans with more beams get no standard errors of least squares: whole covariances would cost more than the fit."""
 
 
 def least_squares_of(
-    batch: Batch, level: FloatArray, noise: Noise, options: FitOptions
+    batch: Batch, level: FloatArray, noise: Noise, options: FitOptions, at_records: RecordNoise | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the stresses of records by least squares, and their standard errors.
 
@@ -31,6 +32,8 @@ def least_squares_of(
         Noise of these beams.
     options : FitOptions
         Of the fit: instrument noise and inflation.
+    at_records : RecordNoise, optional
+        The noise of these records at the median of their length scales, where it is known.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def least_squares_of(
     covariance: FloatArray | None = None
     if len(level) <= MOST_BEAMS:
         mean = np.einsum("bp,rpc,rc->rb", level, inverse, data)
-        of_noise = noise_at_median(batch, noise, options.nuisances)
+        of_noise = noise_at_median(batch, noise, options.nuisances) if at_records is None else at_records
         scale = np.where(batch.used, mean + of_instrument, 0.0)
         positive = ((mean > 0.0) | ~batch.used).all(axis=1)
         scatter = options.nuisances.inflation * scale[:, :, None] * of_noise.covariance * scale[:, None, :]

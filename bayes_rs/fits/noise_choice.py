@@ -13,6 +13,7 @@ import xarray as xr
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.block_checks import unsteady_records, with_block_checks
+from bayes_rs.fits.block_states import STATISTICS
 from bayes_rs.fits.fit_options import USUAL_TURBULENCE, FitOptions, NoiseOptions
 from bayes_rs.fits.uncertain_length import NODES, length_range
 from bayes_rs.geometry.scan import Scan
@@ -155,6 +156,7 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, options: FitOptions
     from bayes_rs.turbulence.mann import load_turbulence  # noqa: PLC0415 - as above
 
     usual, level = load_turbulence(USUAL_TURBULENCE), options.unsteady_level
+    looked_at = [name for name in (*STATISTICS, "wind_speed", "yaw") if name in records]
 
     def unsteady(found: xr.Dataset) -> BoolArray:
         campaign = json.loads(found.attrs[LENGTH_REPORT])
@@ -162,7 +164,7 @@ def _with_lengths_of_steady(records: xr.Dataset, scan: Scan, options: FitOptions
         with np.errstate(divide="ignore", invalid="ignore"):
             own = campaign["length_scale"] * (speed / campaign["wind_speed"]) ** campaign["slope"]
         log_sd = np.full(len(speed), np.hypot(campaign["spread"], campaign["log_sd"]))
-        like_others = found.assign(length_scale=("record", own), length_scale_log_sd=("record", log_sd))
+        like_others = found[looked_at].assign(length_scale=("record", own), length_scale_log_sd=("record", log_sd))
         return unsteady_records(like_others, scan, usual, min(level, LEAVE_OUT_LEVEL))
 
     return with_own_length_scale(

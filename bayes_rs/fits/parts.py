@@ -143,7 +143,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
             after, draws = _to_error(found, some, draws, part.batch, shared)
             flag[some] |= after
             if shared.keep_draws:
-                kept.append((part.record[some], draws))
+                kept.append((part.record[some], replace(draws, noise=None)))
         note_done(len(wanted))
     if reasons:
         _log.warning(
@@ -236,7 +236,7 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     """Enter what the draws of some records tell; return the error of their numbers, as `monte_carlo_error`."""
     chains = draws.chains
     decided, learnt = what_data_decided(chains.stress, shared.room)
-    beside, error = least_squares_of(batch.take(rows), shared.level, shared.noise, shared.options)
+    beside, error = least_squares_of(batch.take(rows), shared.level, shared.noise, shared.options, draws.noise)
     known = {
         "ess_bulk": chains.ess_bulk,
         "ess_tail": chains.ess_tail,
@@ -371,7 +371,7 @@ def _places(record: NDArray[np.int64], n_chain: int, n_draw: int) -> dict[str, N
 def _joined(tables: list[pd.DataFrame], shared: Shared, *, predicted: bool = False) -> pd.DataFrame:
     """Put tables of draws together; without any, return an empty one with the same columns."""
     if tables:
-        return pd.concat(tables, ignore_index=True)
+        return tables[0] if len(tables) == 1 else pd.concat(tables, ignore_index=True)
     more = [f"beam_{number}" for number in shared.beam.tolist()] if predicted else list(STRESSES)
     more += [] if predicted else list(shared.options.nuisances.names)
     return pd.DataFrame(

@@ -132,14 +132,19 @@ def fit_ranges(job: RangeJob, fit_one: Callable[[Plan], Fit], say: Say) -> Range
     say : callable
         Takes lines that tell what is being done.
     """
-    opened: list[Callable[[], Fit] | None] = []
+    fits: list[Fit | None] = []
     for name, part in zip(job.scan.names(), job.parts(), strict=True):
         if part is None:
             say(f"{name}: no record can be fitted")
-            opened.append(None)
+            fits.append(None)
             continue
-        found = fit_one(_plan(job, part, _named(say, name), in_folder=False))
-        opened.append(partial(_same, found))
+        fits.append(fit_one(_plan(job, part, named(say, name), in_folder=False)))
+    return joined_ranges(job, fits)
+
+
+def joined_ranges(job: RangeJob, fits: Sequence[Fit | None]) -> RangedFit:
+    """Return the fits of all ranges, None for one without, as one."""
+    opened = [None if one is None else partial(_same, one) for one in fits]
     run = run_of_ranges(job, [None if one is None else name for one, name in zip(opened, job.names(), strict=True)])
     return RangedFit(run, job.scan, TablesOfRanges(tuple(job.scan.range.tolist())), None, opened=tuple(opened))
 
@@ -231,7 +236,7 @@ class _Shared:
 def _fit_inner(shared: _Shared, one: _Inner) -> list[str]:
     """Fit one range into its folder; return what there is to say, where nobody hears it at once."""
     lines: list[str] = []
-    say = _named(shared.say or lines.append, one.words)
+    say = named(shared.say or lines.append, one.words)
     with begin_inner_folder(one.path, key=digest(one.key_parts), key_parts=one.key_parts) as inner:
         plan = _plan(shared.job, one.part, say, in_folder=True)
         fit_into(inner, plan, workers=shared.workers, client=shared.client, progress=shared.progress)
@@ -279,7 +284,7 @@ def _sections_of_one(sections: Mapping[str, Any], scan: Scan) -> dict[str, Any]:
     return own
 
 
-def _named(say: Say, name: str) -> Say:
+def named(say: Say, name: str) -> Say:
     """Return what says lines with the name of a range before them."""
     return lambda line: say(f"{name}: {line}")
 

@@ -96,7 +96,8 @@ def record_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, op
     fitted = can_be_fitted(batch)
     if scan.n_beam == 1 or not len(fitted):
         return nothing
-    told = look_at_beams(records.isel(record=fitted), scan, noise, batch.take(fitted), options)
+    some = (records, batch) if len(fitted) == n_record else (records.isel(record=fitted), batch.take(fitted))
+    told = look_at_beams(some[0], scan, noise, some[1], options)
     check = told.check
     values = {"disagree": check.disagree, "words": told.records}
     values |= {name: getattr(check, name) for name in ("probability", "misfit")}
@@ -111,9 +112,10 @@ def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, o
     some = np.unique(np.linspace(0, scan.n_beam - 1, min(scan.n_beam, MOST_BEAMS)).round().astype(np.int64))
     if len(some) < scan.n_beam:
         scan, noise = scan.select(scan.beam[some]), noise.select(scan.beam[some])
+        records, batch = records.isel(beam=some), _of_beams(batch, some)
     # with those beams, too, that have less than half of the instrument's noise: they are looked for
     batch = replace(batch, used=sound_beams(records))
-    data = _Data(records.isel(beam=some), scan, noise, _of_beams(batch, some), options)
+    data = _Data(records, scan, noise, batch, options)
     check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(batch))
     return CheckWords(check, scan.beam, float(np.median(noise.length_scale)))
 

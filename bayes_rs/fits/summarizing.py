@@ -161,19 +161,17 @@ def summary_frame(
     n_record, n_name = len(record), len(names)
     words = {value: flag_words(value) for value in np.unique(flag).tolist()}
     missing = np.full(n_record * n_name, np.nan)
-    table = pd.DataFrame(
+    of_records = {
+        "record": np.repeat(record, n_name),
+        "time": np.repeat(time, n_name),
+        "stress": np.tile(np.array(names, dtype=object), n_record),
+        "prob": np.full(n_record * n_name, prob),
+        "interval": interval,
+        "flag": np.repeat(np.array([words[value] for value in flag.tolist()], dtype=object), n_name),
+    }
+    return pd.DataFrame(
         {
-            "record": np.repeat(record, n_name),
-            "time": np.repeat(time, n_name),
-            "stress": np.tile(np.array(names, dtype=object), n_record),
-            "prob": prob,
-            "interval": interval,
-            "flag": np.repeat(np.array([words[value] for value in flag.tolist()], dtype=object), n_name),
-            **{
-                column: columns[column].ravel() if column in columns else missing
-                for column in COLUMNS
-                if column not in ("record", "time", "stress", "prob", "interval", "flag")
-            },
+            name: of_records[name] if name in of_records else columns[name].ravel() if name in columns else missing
+            for name in COLUMNS
         }
     )
-    return table[list(COLUMNS)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from bayes_rs.noise.record_noise import RecordNoise
 NODES = np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
 """Standard deviations at which noise is averaged: the three-point rule of Gauss and Hermite, exact to fifth order."""
 WEIGHTS = np.array([1.0, 4.0, 1.0]) / 6.0
+_OfRecords = TypeVar("_OfRecords", RecordNoise, ReducedRecordNoise)
 
 
 def length_range(length_scale: FloatArray, log_sd: FloatArray) -> tuple[float, float]:
@@ -60,7 +62,7 @@ def averaged_noise(
     """
     if not _averages(noise, flow, log_sd):
         return noise.for_records(wind_speed, yaw, **flow)
-    parts = [noise.for_records(wind_speed, yaw, **at) for at in _at_nodes(noise, flow, log_sd)]
+    parts = _at_nodes(noise, noise.for_records, wind_speed, yaw, flow, log_sd)
     middle = parts[1]
     level = [part.gain @ REFERENCE_STRESS for part in parts]
     relative = [one / _mean(level) for one in level]
@@ -90,7 +92,7 @@ def averaged_reduced(
     """Return reduced noise of records, averaged as `averaged_noise` does it: points have gains without L."""
     if not _averages(noise.bank, flow, log_sd):
         return noise.for_records(wind_speed, yaw, **flow)
-    parts = [noise.for_records(wind_speed, yaw, **at) for at in _at_nodes(noise.bank, flow, log_sd)]
+    parts = _at_nodes(noise.bank, noise.for_records, wind_speed, yaw, flow, log_sd)
     return replace(
         parts[1],
         bias=_mean([part.bias for part in parts]),
@@ -104,11 +106,23 @@ def _averages(noise: Noise, flow: Mapping[str, FloatArray], log_sd: FloatArray |
     return several and log_sd is not None and "length_scale" in flow and bool(np.any(log_sd > 0.0))
 
 
-def _at_nodes(noise: Noise, flow: Mapping[str, FloatArray], log_sd: FloatArray | None) -> list[dict[str, FloatArray]]:
-    """Return the flow at the nodes; length scales beyond those of the noise are its shortest or longest."""
+def _at_nodes(
+    noise: Noise,
+    for_records: Callable[..., _OfRecords],
+    wind_speed: FloatArray,
+    yaw: FloatArray,
+    flow: Mapping[str, FloatArray],
+    log_sd: FloatArray | None,
+) -> list[_OfRecords]:
+    """Return the noise at the nodes; length scales beyond those of the noise are its shortest or longest."""
     low, high = float(np.min(noise.length_scale)), float(np.max(noise.length_scale))
     width = np.zeros(1) if log_sd is None else log_sd
-    return [{**flow, "length_scale": np.clip(flow["length_scale"] * np.exp(z * width), low, high)} for z in NODES]
+    many, number = len(NODES), len(wind_speed)
+    at = {name: np.tile(values, many) for name, values in flow.items()}
+    length_scale = [np.clip(flow["length_scale"] * np.exp(z * width), low, high) for z in NODES]
+    at["length_scale"] = np.concatenate(length_scale)
+    found = for_records(np.tile(wind_speed, many), np.tile(yaw, many), **at)  # no record depends on those beside it
+    return [found.take(slice(first, first + number)) for first in range(0, many * number, number)]
 
 
 def _mean(parts: list[FloatArray]) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import xarray as xr
@@ -99,11 +100,16 @@ def record_scatter(depth: FloatArray, duration: float, time_scale: float) -> Flo
     -----
     .. math:: v = 2 \int_0^1 (1 - x) \left[\exp(D e^{-xT/\tau}) - 1\right] dx .
     """
-    node, weight = np.polynomial.legendre.leggauss(64)
+    node, weight = _gauss()
     x = 0.5 * (node + 1.0) ** 2 / 2.0  # closer together near 0, where the correlation is
     jacobian = 0.5 * (node + 1.0)
     of = np.expm1(np.asarray(depth, dtype=np.float64)[..., None] * np.exp(-x * duration / time_scale))
     return np.asarray(2.0 * np.sum(weight * jacobian * (1.0 - x) * of, axis=-1))
+
+
+@lru_cache(maxsize=1)
+def _gauss() -> tuple[FloatArray, FloatArray]:
+    return np.polynomial.legendre.leggauss(64)
 
 
 def excess_of_blocks(duration: float, time_scale: float) -> FloatArray:

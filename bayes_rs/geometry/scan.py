@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -265,6 +266,8 @@ class Scan:
         for number in wanted.tolist():
             if number not in self.beam:
                 raise InputError(f"Unknown beam {number} in scan {self.name!r}: its beams are {self.beam.tolist()}.")
+        if np.array_equal(wanted, self.beam):
+            return self
         index = np.array([int(np.flatnonzero(self.beam == number)[0]) for number in wanted])
         return replace(
             self,
@@ -294,7 +297,7 @@ class Scan:
             **({"probe": probe} if probe else {}),
         }
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Fingerprint of the geometry, 16 hexadecimal digits: equal keys mean equal beams and timing."""
         text = json.dumps(self.geometry(), sort_keys=True)

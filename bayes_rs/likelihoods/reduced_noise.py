@@ -46,6 +46,10 @@ class ReducedRecordNoise:
     log_variance: FloatArray
     outside: NDArray[np.bool_]
 
+    def take(self, records: slice) -> ReducedRecordNoise:
+        """Return that of some of the records."""
+        return ReducedRecordNoise(**{name: values[records] for name, values in vars(self).items()})
+
 
 class ReducedNoise:
     """Noise whose covariances are reduced to a few directions in the space of the beams.

@@ -41,12 +41,14 @@ class Place(NamedTuple):
             return np.broadcast_to(of_states[0], (len(self.nearest), *of_states.shape[1:]))
         return of_states[self.nearest]
 
-    def covariances(self, of_states: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    def covariances(
+        self, of_states: FloatArray, parts: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """Return the different covariance matrices of records, their negative parts, and which one each record has."""
         if self.weights is None:
             return of_states, np.zeros(len(of_states)), self.nearest
         _, first, number = np.unique(self.used, axis=0, return_index=True, return_inverse=True)
-        between, negative_part = interpolate_covariance(of_states, self.weights[first])
+        between, negative_part = interpolate_covariance(of_states, self.weights[first], parts)
         return between, negative_part, number.reshape(-1).astype(np.int64)
 
 

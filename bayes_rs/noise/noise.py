@@ -23,12 +23,13 @@ from bayes_rs.noise.layout import noise_dataset
 from bayes_rs.noise.noise_geometry import check_same_scan, geometry_difference
 from bayes_rs.noise.record_noise import RecordNoise, SonicNoise
 from bayes_rs.noise.sealed import save_dataset
-from bayes_rs.turbulence.interpolation import StateNet
+from bayes_rs.turbulence.interpolation import StateNet, spread_and_correlation
 from bayes_rs.turbulence.mann import MannTurbulence
 
 _ABSENT = object()
 _PER_STATE = ("bias", "gain", "covariance", "wind_speed", "yaw", "length_scale", "gamma", "n_realizations")
 _OPTIONAL = ("standard_error", "sonic_covariance", "sonic_beam_covariance")
+_MOST_KEPT = 4_000_000  # numbers, 32 MB
 _AT_ONCE = 16_384
 """Records that are placed among the states at a time."""
 
@@ -457,7 +458,7 @@ class Noise:
         """
         points = self.states.points(wind_speed, yaw, length_scale, gamma)
         place = self.states.place(points)
-        different, negative_part, state = place.covariances(self.covariance)
+        different, negative_part, state = place.covariances(self.covariance, self._parts)
         probe = place.values(self.probe_change())
         direction = np.asarray(self.scan_geometry["direction"], dtype=np.float64)
         return RecordNoise(
@@ -565,6 +566,12 @@ class Noise:
     def probe_change(self) -> FloatArray:
         """Return what the probe volume adds to the design matrix, shape (n_state, n_beam, 6); zero for points."""
         return self._probe_change
+
+    @cached_property
+    def _parts(self) -> tuple[FloatArray, FloatArray] | None:
+        """What all records are interpolated from; kept unless it is large."""
+        some = self.net is not None and self.covariance.size <= _MOST_KEPT
+        return spread_and_correlation(self.covariance) if some else None
 
     @cached_property
     def _probe_change(self) -> FloatArray:

@@ -47,6 +47,10 @@ class RecordNoise:
     outside: NDArray[np.bool_]
     negative_part: FloatArray
 
+    def take(self, records: slice) -> RecordNoise:
+        """Return that of some of the records."""
+        return RecordNoise(**{name: values[records] for name, values in vars(self).items()})
+
 
 @dataclass(frozen=True, eq=False)
 class SonicNoise:

@@ -12,9 +12,11 @@ import xarray as xr
 
 from bayes_rs._validation import check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality.rules import QualityRules
 from bayes_rs.quality.samples import IntArray
+from bayes_rs.readers.ranged_series import scan_of_series, stacked
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.layout import REPORT
 from bayes_rs.records.making import empty_record
@@ -65,7 +67,9 @@ class ClosingRecords:
     A record is bit by bit what `make_records` makes of it in the whole series, with two exceptions. It has the beams
     that came so far. Whether blades pass is a matter of the whole series, and not tested. It is given out with the
     first sample that comes `lateness` after its end or later; whether the data are cut off within it is then known.
-    Those of a sliding window are the records of series whose clock is turned back by `every`, twice that, and so on.
+    Of several ranges records have the dimension ``range``. The first chunk says which ranges there are; one that ends
+    while others go on has too few samples then, and is not said to be cut off. Those of a sliding window are the
+    records of series whose clock is turned back by `every`, twice that, and so on.
     In memory are the samples of open records, and `before` records.
 
     Examples
@@ -116,16 +120,32 @@ class ClosingRecords:
         InputError
             If the chunk is not valid, or a sample comes too late. Nothing of it is taken then.
         """
-        check_is_series(chunk)
+        check_is_series(chunk, ranges=True)
         if self._closed:
             raise InputError("This stream is closed and takes no more samples: begin a new one.")
-        lanes, found = [], []
-        for lane in self._lanes:
-            after, ready = self._added(lane, chunk)
-            lanes.append(after)
-            found += ready
+        before, self.scan = self.scan, scan_of_series(chunk, self.scan)
+        try:
+            self._check_ranges(chunk, before)
+            of_scan = stacked(chunk, self.scan) if isinstance(self.scan, RangedScan) else chunk
+            lanes, found = [], []
+            for lane in self._lanes:
+                after, ready = self._added(lane, of_scan)
+                lanes.append(after)
+                found += ready
+        except InputError:
+            self.scan = before
+            raise
         self._lanes = lanes
         return _in_order(found)
+
+    def _check_ranges(self, chunk: xr.Dataset, before: Scan) -> None:
+        """Refuse samples with ranges after others without, or the other way round."""
+        began = any(lane.state.latest is not None for lane in self._lanes)
+        if began and isinstance(before, RangedScan) != ("range" in chunk.variables):
+            has, had = ("no", "a") if isinstance(before, RangedScan) else ("a", "no")
+            raise InputError(
+                f"These samples have {has} range, and those before have {had} range: give all as one scan reads them."
+            )
 
     def close(self) -> list[xr.Dataset]:
         """Return the records that are still open, as `add` does, and take no more."""
@@ -162,26 +182,26 @@ class ClosingRecords:
         final = limit if np.any(state.time // self._window == limit) else limit - 1
         if not lane.blocks:
             return lane, []
-        earliest = np.argmin(state.time)
-        one = slice(earliest, earliest + 1)  # enough to say that the data go on
-        rest = replace(
-            state,
-            time=state.time[one],
-            beam=state.beam[one],
-            columns={name: values[one] for name, values in state.columns.items()},
-        )
-        ready = self._ready(lane, rest, final)
+        ready = self._ready(lane, state, final, later=int(state.time.min()) // self._window)
         if not ready:
             return lane, []
         begun = final if lane.next is None else max(final, lane.next)
-        number = np.concatenate([_numbers(block, self._window) for block in lane.blocks])
+        numbers = [_numbers(block, self._window) for block in lane.blocks]
+        number = np.concatenate(numbers)
         before = number[number < begun - self.before]
         oldest = before.max() if len(before) else 0  # stays: it says where the empty records behind it begin
-        kept = [block.isel(record=_numbers(block, self._window) >= oldest) for block in lane.blocks]
-        return replace(lane, next=begun, blocks=tuple(block for block in kept if block.sizes["record"])), ready
+        kept = [
+            block if own[0] >= oldest else block.isel(record=own >= oldest)
+            for block, own in zip(lane.blocks, numbers, strict=True)
+            if own[-1] >= oldest
+        ]
+        return replace(lane, next=begun, blocks=tuple(kept)), ready
 
-    def _ready(self, lane: _Lane, rest: StreamState, final: int) -> list[xr.Dataset]:
-        """Return the records of the windows from the next one of a lane until one that is not final."""
+    def _ready(self, lane: _Lane, rest: StreamState, final: int, later: int | None = None) -> list[xr.Dataset]:
+        """Return the records of the windows from the next one of a lane until one that is not final.
+
+        Those of the samples in `rest` are the last, but where these are still open: the first is in the window `later`.
+        """
         first = _numbers(lane.blocks[0], self._window)[0] if lane.blocks else int(rest.time.min()) // self._window
         begin = int(first) if lane.next is None else lane.next
         # a sliding window lies within the data, to the next multiple of `every`
@@ -190,29 +210,33 @@ class ClosingRecords:
         begin, final = max(begin, -(-start // self._window)), min(final, end // self._window)
         if final <= begin:
             return []
-        samples = sum(json.loads(block.attrs[REPORT])["samples"] for block in lane.blocks) + len(rest.time)
+        if later is not None:
+            none = {name: values[:0] for name, values in rest.columns.items()}
+            rest = replace(rest, time=rest.time[:0], beam=rest.beam[:0], columns=none)
+        samples = sum(_n_sample(block) for block in lane.blocks) + len(rest.time)
         joined = join_blocks(
             list(lane.blocks),
             replace(rest, samples=samples),
             self.scan,
             beams=lane.beams,
             empty=self._empty_like(rest),
+            later=later,
             **self._made,
         )
         number = _numbers(joined, self._window)
         joined = _moved(joined, lane.offset)
-        return [
-            joined.isel(record=(number >= number[row] - self.before) & (number <= number[row]))
-            for row in np.flatnonzero((number >= begin) & (number < final))
-        ]
+        rows = np.flatnonzero((number >= begin) & (number < final)).tolist()
+        firsts = np.searchsorted(number, number - self.before).tolist()
+        return [joined.isel(record=slice(firsts[row], row + 1)) for row in rows]
 
     def _empty_like(self, state: StreamState) -> xr.Dataset:
         """Return a record without a sample of a series: made once, unless its columns or attributes change."""
         kinds = {name: values.dtype.str for name, values in state.columns.items()}
         key = f"{sorted(kinds.items())} {sorted(state.attributes.items())}"
         if key not in self._empty:
-            some_beam = int(self.scan.beam[0])
-            self._empty = {key: empty_record(state.columns, state.attributes, some_beam, self.scan, **self._made)}
+            scan = self.scan.at(0) if isinstance(self.scan, RangedScan) else self.scan
+            some_beam = int(scan.beam[0])
+            self._empty = {key: empty_record(state.columns, state.attributes, some_beam, scan, **self._made)}
         return self._empty[key]
 
 
@@ -230,6 +254,11 @@ def _step(every: float, window: int) -> int:
 def _numbers(block: xr.Dataset, window: int) -> IntArray:
     """Return the numbers of the windows of records, since 1970."""
     return np.asarray(block["time"].values.astype("datetime64[ns]").astype(np.int64) // window)
+
+
+def _n_sample(block: xr.Dataset) -> int:
+    """Return how many samples records were made of; of several ranges they are counted range by range elsewhere."""
+    return int(json.loads(block.attrs[REPORT])["samples"]) if REPORT in block.attrs else 0
 
 
 def _moved(dataset: xr.Dataset, offset: int) -> xr.Dataset:

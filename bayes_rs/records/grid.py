@@ -37,13 +37,17 @@ def on_grid(
     rows = [np.searchsorted(windows, of) for of in number]
     order = np.argsort(beams)
     columns = [order[np.searchsorted(beams, block["beam"].values, sorter=order)] for block in blocks]
+    cells = [np.ix_(row, column) for row, column in zip(rows, columns, strict=True)]
+    held, unsampled = [block.variables for block in blocks], empty.variables
     variables: dict[str, Any] = {}
-    for name, template in blocks[0].data_vars.items():
+    for name in blocks[0].data_vars:
+        template = held[0][name]
         both = template.dims[:2] == ("record", "beam")
         shape = (len(windows), len(beams), *template.shape[2:]) if both else (len(windows), *template.shape[1:])
-        values = np.full(shape, empty[name].values.ravel()[0], dtype=template.dtype)
-        for block, row, column in zip(blocks, rows, columns, strict=True):
-            values[np.ix_(row, column) if both else row] = block[name].values
+        values = np.full(shape, unsampled[name].values.ravel()[0], dtype=template.dtype)
+        places: Sequence[Any] = cells if both else rows
+        for of, place in zip(held, places, strict=True):
+            values[place] = of[name].values
         variables[str(name)] = (template.dims, values, template.attrs)
     start = (windows * window).astype("datetime64[ns]")
     return xr.Dataset(

@@ -217,6 +217,7 @@ def join_blocks(
     *,
     beams: IntArray | None = None,
     empty: xr.Dataset | None = None,
+    later: int | None = None,
     quality: QualityRules | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -232,6 +233,8 @@ def join_blocks(
         Beams that came before, of records that are no longer there.
     empty : Dataset, optional
         What `empty_record` says of such a series, if it is known.
+    later : int, optional
+        Number of a window behind all these samples that has one, too: the records go up to it.
     scan, quality, options
         As for `stream_records`.
 
@@ -246,7 +249,8 @@ def join_blocks(
         If there is no sample, or the times span too many records.
     """
     if isinstance(scan, RangedScan):
-        return _join_ranges(blocks, state, scan, quality, options)
+        of_all = {"beams": beams, "empty": empty, "later": later, "quality": quality, **options}
+        return _join_ranges(blocks, state, scan, of_all)
     if len(state.time):
         last = _series(state.time, state.beam, state.columns, state.attributes)
         blocks = [*blocks, make_records(last, scan, quality=quality, **options)]
@@ -257,7 +261,7 @@ def join_blocks(
     known = [] if beams is None else [beams]
     present = np.unique(np.concatenate([*known, *(block["beam"].values for block in blocks)]))
     beams = scan.beam[np.isin(scan.beam, present)]
-    windows = windows_of(blocks, window, len(beams))
+    windows = windows_of(blocks, window, len(beams), later=later)
     if empty is None:
         some_beam = int(blocks[0]["beam"].values[0])
         empty = empty_record(state.columns, state.attributes, some_beam, scan, quality=quality, **options)
@@ -269,7 +273,7 @@ def join_blocks(
     records["wind_speed"].values[:], records["yaw"].values[:] = speed, yaw
     own = records["record_flag"].values & ~np.uint8(_OF_WIND)
     records["record_flag"].values[:] = own | of_wind
-    records = with_cut_off(records, scan, chosen)
+    records = with_cut_off(records, scan, chosen, later=later)
     report = _report(blocks, records, state, scan, window)
     absent = [number for number in scan.beam.tolist() if number not in beams]
     files = {"source_files": json.dumps(list(state.source_files))} if state.source_files else {}
@@ -280,11 +284,12 @@ def _join_ranges(
     blocks: Sequence[xr.Dataset],
     state: StreamState,
     scan: RangedScan,
-    quality: QualityRules | None,
     options: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Put the records of a stream at several ranges together, range by range."""
+    """Put the records of a stream at several ranges together, range by range; options are those of `join_blocks`."""
     index, beam = scan.split(state.beam)
+    came, making = options["beams"], {**options, "beams": None}
+    place_of, beam_of = (None, None) if came is None else scan.split(came)
     parts = [split_ranges(block) for block in blocks]
     joined: dict[int, xr.Dataset] = {}
     for place in range(scan.n_range):
@@ -302,19 +307,16 @@ def _join_ranges(
         )
         if joined:  # what is counted for all ranges together stands with the first
             of_range = replace(of_range, late=0, first_late="", out_of_order=0)
-        joined[place] = join_blocks(own, of_range, scan.at(place), quality=quality, **options)
+        if beam_of is not None:
+            making["beams"] = beam_of[place_of == place]
+        joined[place] = join_blocks(own, of_range, scan.at(place), **making)
     if not joined:
         raise InputError("Invalid series: it holds no sample; give files with samples.")
-    no_sample = partial(
-        empty_record,
-        state.columns,
-        state.attributes,
-        int(scan.of_one.beam[0]),
-        scan.at(0),
-        quality=quality,
-        **options,
-    )
-    return stack_alike(joined, scan, record_options(options).window, no_sample)
+    made = {name: value for name, value in options.items() if name not in ("beams", "empty", "later")}
+    some_beam, empty = int(scan.of_one.beam[0]), options["empty"]
+    no_sample = partial(empty_record, state.columns, state.attributes, some_beam, scan.at(0), **made)
+    window = record_options({name: value for name, value in made.items() if name != "quality"}).window
+    return stack_alike(joined, scan, window, no_sample if empty is None else lambda: empty)
 
 
 def _with_samples(block: xr.Dataset) -> xr.Dataset:
@@ -447,9 +449,10 @@ def _check_same(blocks: Sequence[xr.Dataset], empty: xr.Dataset) -> None:
 
 def _layout_of(records: xr.Dataset) -> dict[str, dict[str, int]]:
     """Return the lengths of every variable's dimensions, without records and beams, which may be fewer."""
+    variables = records.variables
     return {
-        str(name): {str(dim): size for dim, size in data.sizes.items() if dim not in ("record", "beam")}
-        for name, data in records.data_vars.items()
+        str(name): {str(dim): size for dim, size in variables[name].sizes.items() if dim not in ("record", "beam")}
+        for name in records.data_vars
     }
 
 

@@ -246,7 +246,7 @@ def octave_theory(
     By Taylor's hypothesis the autocovariance of a point along n is n·C(Uτ)n, and depends on U/L only: one table of uu,
     vv, ww and uw serves all beams, winds and directions. With a probe volume there is a table for each beam.
     """
-    ends = np.rad2deg(yaw) / _YAW_STEP
+    ends = np.zeros(2) if isinstance(scan.probe, PointProbe) else np.rad2deg(yaw) / _YAW_STEP
     first, last = int(np.floor(min(ends) + 1e-9)), int(np.ceil(max(ends) - 1e-9))
     return _theory(_ByKey(scan), float(duration), float(gamma), first, max(last, first + 1))
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.spectra.octave_likelihood import Octaves
+from bayes_rs.processor import one_thread
+from bayes_rs.spectra.octave_likelihood import Octaves, log_sum
 from bayes_rs.spectra.octave_theory import length_nodes
 
 MOST_RECORDS = 200
@@ -29,6 +31,7 @@ _SCALE = 0.3  # m/s; that of most lidars is less
 _SHARE = 0.02  # of the variance: shares of noise below it are as likely a priori, above those of all sizes are
 _LIGHT = 1e-4
 _REACH = 3.0  # standard deviations of a record's noise that are looked at
+_KEPT = 48  # records whose likelihoods are kept, 3 MB: more than the memory of a stream has
 _NODES = (7, 45, 25)  # at least; at most of few records and of many, of whom little is told only if each tells little
 
 
@@ -97,14 +100,11 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
     log_size = np.log(variance / np.exp(np.mean(np.log(variance[known])))) if len(known) else np.zeros(len(variance))
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(MOST_RECORDS, len(known))).round().astype(np.int64))]
     size = np.nan_to_num(log_size)
-    node, fine = _steps(_SHARES, _NODE), _steps(_SHARES, _FINE)
-    some = octaves.take(rows)
-    density = some.log_likelihood(np.broadcast_to(np.exp(node), (len(rows), len(node))))
-    length = _steps(length_nodes()[[0, -1]], _LENGTH_FINE)
-    density = scipy.interpolate.CubicSpline(
-        length_nodes(), scipy.interpolate.CubicSpline(node, density, axis=1)(fine), axis=2
-    )(length)
-    density = np.exp(density - density.max(axis=(1, 2), keepdims=True))
+    fine, length = _steps(_SHARES, _FINE), _steps(length_nodes()[[0, -1]], _LENGTH_FINE)
+    if 0 < len(rows) <= _KEPT:  # each by itself, as it comes again with every record of a stream that follows
+        density = np.concatenate([_kept_density(_Record(octaves.take(rows[i : i + 1]))) for i in range(len(rows))])
+    else:
+        density = _density(octaves.take(rows))
     usual = float(np.exp(np.mean(np.log(variance[rows])))) if len(rows) else 1.0
     lengths = _length_hypers(length, median, log_sd)
 
@@ -124,6 +124,36 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
     mean[rows], square[rows] = _moments(own, (centre, power, spread), size[rows])
     common = float(np.sqrt(np.maximum(weight @ centre**2 - (weight @ centre) ** 2, 0.0)))
     return PooledNoise(mean, np.sqrt(square), float(weight @ power), common)
+
+
+def _density(octaves: Octaves) -> FloatArray:
+    """Return the likelihood of each record at the fine nodes of ln share and ln L, over its maximum."""
+    node, length = _steps(_SHARES, _NODE), length_nodes()
+    found = octaves.log_likelihood(np.broadcast_to(np.exp(node), (len(octaves), len(node))))
+    between = scipy.interpolate.CubicSpline(node, found, axis=1)(_steps(_SHARES, _FINE))
+    between = scipy.interpolate.CubicSpline(length, between, axis=2)(_steps(length[[0, -1]], _LENGTH_FINE))
+    return np.asarray(np.exp(between - between.max(axis=(1, 2), keepdims=True)))
+
+
+class _Record:
+    """The octaves of one record, equal to others if all numbers are, and what they are compared with."""
+
+    def __init__(self, octaves: Octaves) -> None:
+        self.octaves = octaves
+        own = (octaves.energy, octaves.count, octaves.used, octaves.wind_speed, octaves.yaw)
+        self._key = (octaves.theory, octaves.information, *(values.tobytes() for values in own))
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Record) and self._key == other._key
+
+
+@lru_cache(maxsize=_KEPT)
+@one_thread()  # what is kept must not depend on who asked for it first
+def _kept_density(record: _Record) -> FloatArray:
+    return _density(record.octaves)
 
 
 def _moments(
@@ -168,15 +198,21 @@ def _posterior(
     evidence: list[FloatArray] = []
     for one, at in zip(density, size, strict=True):
         expected = centre + (power - 1.0) * at
-        prior = np.exp(-0.5 * ((fine - expected[:, np.newaxis]) / spread[:, np.newaxis]) ** 2)
+        prior = fine - expected[:, np.newaxis]
+        prior /= spread[:, np.newaxis]
+        np.square(prior, out=prior)
+        prior *= -0.5
+        np.exp(prior, out=prior)
         prior /= np.maximum(prior.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        evidence.append(np.log(np.maximum(prior @ one @ of_length.T, np.finfo(np.float64).tiny)))
-        total = total + evidence[-1]
+        of_record = prior @ one @ of_length.T
+        np.maximum(of_record, np.finfo(np.float64).tiny, out=of_record)
+        evidence.append(np.log(of_record, out=of_record))
+        total += of_record
     weight = _normalised(total)
     own = [_normalised(total - one) for one in evidence]
     return weight, np.array(own).reshape(len(own), len(centre))
 
 
 def _normalised(log_weight: FloatArray) -> FloatArray:
-    of_hyper = scipy.special.logsumexp(log_weight, axis=1)
-    return np.asarray(np.exp(of_hyper - scipy.special.logsumexp(of_hyper)))
+    of_hyper = log_sum(log_weight)
+    return np.asarray(np.exp(of_hyper - log_sum(of_hyper[np.newaxis])))

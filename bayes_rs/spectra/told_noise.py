@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray, check_choice, check_non_negative
-from bayes_rs.spectra.octave_likelihood import Octaves, averaged
+from bayes_rs.spectra.octave_likelihood import Octaves, averaged, log_sum
 from bayes_rs.spectra.octave_theory import length_nodes
 from bayes_rs.spectra.pooled_noise import SHAPE_ERROR, TELLS, PooledNoise, pool_noise
 
@@ -93,8 +93,15 @@ class ToldNoise:
         """Return what the octaves of records tell."""
         return cls(rows, octaves, pool_noise(octaves, median=prior[0], log_sd=prior[1]), prior)
 
-    def _blocks(self) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-        """Yield some records at a time: shares, logarithms of their weights, and the log-likelihood there."""
+    def _blocks(self) -> Iterable[tuple[slice, FloatArray, FloatArray, FloatArray]]:
+        """Give some records at a time: shares, logarithms of their weights, and the log-likelihood there."""
+        return self._few if len(self.rows) <= _RECORDS else self._all()
+
+    @cached_property
+    def _few(self) -> list[tuple[slice, FloatArray, FloatArray, FloatArray]]:
+        return list(self._all())
+
+    def _all(self) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
         share, log_weight = self.pooled.nodes()
         for first in range(0, len(self.rows), _RECORDS):
             some = slice(first, first + _RECORDS)
@@ -115,8 +122,8 @@ class ToldNoise:
         mean, sd = np.empty(len(speed)), np.empty(len(speed))
         for some, share, log_prior, density in self._blocks():
             log_length = -0.5 * ((length_nodes() - centre[some, np.newaxis]) / width) ** 2
-            log_weight = log_prior + scipy.special.logsumexp(density + log_length[:, np.newaxis], axis=2)
-            weight = np.exp(log_weight - scipy.special.logsumexp(log_weight, axis=1, keepdims=True))
+            log_weight = log_prior + log_sum(density + log_length[:, np.newaxis])
+            weight = np.exp(log_weight - log_sum(log_weight)[:, np.newaxis])
             mean[some] = np.sum(weight * share, axis=1)
             sd[some] = np.sqrt(np.sum(weight * (share - mean[some, np.newaxis]) ** 2, axis=1))
         return mean, sd

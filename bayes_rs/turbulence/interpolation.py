@@ -13,6 +13,7 @@ from bayes_rs._validation import FloatArray
 
 _POINTS = 4  # of an axis that a value is interpolated from: third order
 _SAME = 1e-9  # coordinates no farther apart are one
+_FEW_NUMBERS = 512  # of a state, up to which those of all states are multiplied at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,15 @@ def find_net(coordinates: ArrayLike) -> StateNet | None:
     return None if np.any(number < 0) else StateNet(tuple(axes), number)
 
 
-def interpolate_covariance(covariance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def spread_and_correlation(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return logarithms of standard deviations, (n_state, n), and correlations, (n_state, n, n), of covariances."""
+    spread = np.sqrt(np.maximum(np.einsum("sbb->sb", covariance), np.finfo(np.float64).tiny))
+    return np.log(spread), covariance / (spread[:, :, np.newaxis] * spread[:, np.newaxis])
+
+
+def interpolate_covariance(
+    covariance: FloatArray, weights: FloatArray, parts: tuple[FloatArray, FloatArray] | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return positive semi-definite matrices between others.
 
     Parameters
@@ -131,6 +140,8 @@ def interpolate_covariance(covariance: FloatArray, weights: FloatArray) -> tuple
         Covariance matrices of the states.
     weights : ndarray, shape (n_point, n_state)
         Weights of the states, as from `StateNet.weights`.
+    parts : tuple of ndarray, optional
+        What `spread_and_correlation` makes of the covariances, where it is known.
 
     Returns
     -------
@@ -147,9 +158,8 @@ def interpolate_covariance(covariance: FloatArray, weights: FloatArray) -> tuple
     convex set and hold the truth, so that the nearest one is no farther from it (Higham 1988,
     doi:10.1016/0024-3795(88)90223-6).
     """
-    spread = np.sqrt(np.maximum(np.einsum("sbb->sb", covariance), np.finfo(np.float64).tiny))
-    correlation = covariance / (spread[:, :, np.newaxis] * spread[:, np.newaxis])
-    scale = np.exp(combine(weights, np.log(spread)))
+    log_spread, correlation = spread_and_correlation(covariance) if parts is None else parts
+    scale = np.exp(combine(weights, log_spread))
     between = combine(weights, correlation)
     between *= scale[:, :, np.newaxis] * scale[:, np.newaxis]
     between = 0.5 * (between + between.swapaxes(-1, -2))
@@ -178,7 +188,18 @@ def combine(weights: FloatArray, values: FloatArray) -> FloatArray:
         Σ_s weights[:, s] · values[s].
     """
     combined = np.zeros((len(weights), *values.shape[1:]))
-    for state in np.flatnonzero(weights.any(axis=0)):
+    states = np.flatnonzero(weights.any(axis=0))
+    if len(weights) <= len(states):  # few points: each by itself, its states one after the other, as below
+        for row, own in enumerate(weights):
+            some = np.flatnonzero(own)
+            if combined[row].size > _FEW_NUMBERS:
+                for state in some:
+                    combined[row] += own[state] * values[state]
+            elif len(some):
+                parts = own[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[some]
+                combined[row] += np.add.accumulate(parts)[-1]
+        return combined
+    for state in states:
         rows, value = np.flatnonzero(weights[:, state]), values[state]
         combined[rows] += weights[rows, state].reshape(-1, *(1,) * value.ndim) * value
     return combined
