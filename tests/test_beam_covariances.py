@@ -639,6 +639,18 @@ class TestMast:
         with pytest.raises(InputError, match=r"is a sonic's series, and that in .*t\.csv' is none: give files of one"):
             brs.wind.with_mast(records, [file, tmp_path / "t.csv"], position=(0, 0, 0))
 
+    def test_a_sonic_that_stands_still_for_a_period_has_none_then(self, caplog):
+        _, records = self.records(2)
+        stress = xr.Dataset(
+            {"stress": (("record", "component"), np.tile(FLOW.stresses(), (2, 1)))},
+            coords={"time": ("record", records["time"].values), "component": list(brs.STRESSES)},
+        )
+        stress["stress"][1, 2:] = 0.0
+        found = brs.wind.with_mast(records, stress, position=(0, 0, 0))["mast_stress"].values
+        np.testing.assert_allclose(found[0], FLOW.stresses())
+        assert np.isnan(found[1]).all()
+        assert "in which u, v or w does not move, 1 of 2" in caplog.text
+
     @pytest.mark.parametrize(
         ("change", "words"),
         [

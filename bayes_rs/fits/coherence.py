@@ -60,7 +60,8 @@ class Coherence:
 
     def in_words(self) -> str:
         """Say it in one line."""
-        what, against = (" and ".join(words) for words in zip(*(_WORDS[name] for name in self.data), strict=True))
+        what = " and ".join(_WORDS[name][0] for name in self.data)
+        against = " or ".join(_WORDS[name][1] for name in self.data)
         same = (
             f", and differ from that in the same way in all of them ({self.pattern:.2f} times what chance does)"
             if self.pattern_probability < _LEVEL

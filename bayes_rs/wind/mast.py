@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
 
+_log = logging.getLogger(__name__)
 _ROUNDING = 1e-9
 
 
@@ -156,7 +158,15 @@ def _of_stresses(stresses: xr.Dataset, where: str) -> MastStresses:
     """Return those of the Dataset of `sonic_stresses`."""
     if "stress" not in stresses or stresses["stress"].dims != ("record", "component"):
         raise InputError("Invalid mast: it has no 'stress' (record, component); give what sonic_stresses returns.")
-    columns = dict(zip(STRESSES, stresses["stress"].values.T, strict=True))
+    values = stresses["stress"].values.copy()
+    still = np.any(values[:, :3] == 0.0, axis=1)
+    if still.any():
+        _log.warning(
+            "The %s has periods in which u, v or w does not move, %d of %d: they count as missing.",
+            *(where or "mast", still.sum(), len(still)),
+        )
+        values[still] = np.nan
+    columns = dict(zip(STRESSES, values.T, strict=True))
     return _of_table(pd.DataFrame({"time": stresses["time"].values, **columns}), where)
 
 
