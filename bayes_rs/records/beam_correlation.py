@@ -34,12 +34,17 @@ def correlated_beams(scan: Scan) -> NDArray[np.int64]:
     >>> correlated_beams(load_scan("6-beam")), len(correlated_beams(load_scan("50-beam")))
     (array([0, 1, 2, 3, 4, 5]), 8)
     """
-    if scan.n_beam <= MOST_BEAMS:
+    return beams_apart(scan, MOST_BEAMS)
+
+
+def beams_apart(scan: Scan, n_beam: int) -> NDArray[np.int64]:
+    """Return the numbers of so many beams, or of all if there are no more, as `correlated_beams` chooses them."""
+    if scan.n_beam <= n_beam:
         return scan.beam
     place = scan.level_direction * scan.focus_distance[:, np.newaxis]
     chosen = [int(np.argmin(np.linalg.norm(place - place.mean(axis=0), axis=-1)))]
     nearest = np.linalg.norm(place - place[chosen[0]], axis=-1)
-    while len(chosen) < MOST_BEAMS:
+    while len(chosen) < n_beam:
         chosen.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, np.linalg.norm(place - place[chosen[-1]], axis=-1))
     return np.asarray(scan.beam[np.sort(chosen)])
