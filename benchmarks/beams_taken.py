@@ -19,7 +19,7 @@ import bayes_rs as brs
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.likelihoods.covariances import covariance_forms, factor_products
 from bayes_rs.records.beam_correlation import beams_apart
-from bayes_rs.theory.beam_covariances import COHERENCE, Views, covariance_moments, view_pairs
+from bayes_rs.theory.beam_covariances import COHERENCE, Views, coherence_slopes, covariance_moments, view_pairs
 
 LENGTH_LOG_SD = 0.135  # of ln L, as simulated records of fu-2022 tell it
 N_PRIOR = 20_000
@@ -50,7 +50,7 @@ def widths(scan: brs.Scan, n_beam: int) -> tuple[np.ndarray, np.ndarray]:
     of_stress, of_data = ((high - low) / (2.0 * STEP)).T, ((data(high) - data(low)) / (2.0 * STEP)).T
     sd = np.full(len(COHERENCE), options.coherence_log_sd)
     sd[COHERENCE.index("length_scale")] = LENGTH_LOG_SD
-    spread = moments.slope * sd
+    spread = coherence_slopes(Views.of_scan(chosen, 0.0), flow, wind_speed=10.0, n_sample=600) * sd
     found = []
     for seen, of_errors in ((slice(n_beam), 0.0), (slice(None), spread @ spread.T)):
         noise = (moments.covariance + of_errors)[seen, seen]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -18,7 +19,7 @@ from bayes_rs.geometry.scan import Scan, yaw_matrix
 from bayes_rs.processor import one_thread
 from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, correlated_beams, pair_columns
 from bayes_rs.records.layout import MAST, MAST_POSITION
-from bayes_rs.theory.beam_covariances import CovarianceMoments, Views, covariance_moments
+from bayes_rs.theory.beam_covariances import CovarianceMoments, Views, coherence_slopes, covariance_moments
 from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -126,8 +127,10 @@ class RecordMoments:
     ----------
     direction : ndarray, shape (n_record, n_view, 3)
         Unit vectors of the beams in the mean-wind frame of each record.
-    tensor, record, ensemble, covariance, bias, slope : ndarray
+    tensor, record, ensemble, covariance, bias : ndarray
         As in `CovarianceMoments`, with the records first; tensors over the uu of a record.
+    slope : ndarray, shape (n_record, n_datum, 4)
+        From `coherence_slopes`.
     """
 
     direction: FloatArray
@@ -165,23 +168,32 @@ def record_moments(
         each. The directions are the records' own. `slope` times the standard deviation of ln L is not in the
         covariance.
     """
-    middle = _between(pairs, wind_speed, yaw, length_scale, gamma)
+    own = wind_speed, yaw, length_scale, gamma
+    middle = CovarianceMoments(*_between(_moments_at, pairs, *own))
+    (slope,) = _between(_slopes_at, pairs, *own)
     covariance = middle.covariance
     if length_log_sd is not None and np.any(length_log_sd > 0.0):
         covariance = np.zeros_like(covariance)
         for node, weight in zip(NODES, WEIGHTS, strict=True):
             moved = length_scale * np.exp(node * length_log_sd)
-            covariance += weight * _between(pairs, wind_speed, yaw, moved, gamma).covariance
+            covariance += (
+                weight * CovarianceMoments(*_between(_moments_at, pairs, wind_speed, yaw, moved, gamma)).covariance
+            )
     direction = pairs.scan.at_yaw(yaw)
     if pairs.mast is not None:
         direction = np.concatenate([direction, np.broadcast_to(np.eye(3), (len(yaw), 3, 3))], axis=1)
-    return RecordMoments(direction, **{**middle._asdict(), "covariance": covariance})
+    return RecordMoments(direction, **{**middle._asdict(), "covariance": covariance}, slope=slope)
 
 
 def _between(
-    pairs: PairData, wind_speed: FloatArray, yaw: FloatArray, length_scale: FloatArray, gamma: FloatArray
-) -> CovarianceMoments:
-    """Return the moments of each record, linear between those of the nodes around it."""
+    at_node: Callable[..., tuple[FloatArray, ...]],
+    pairs: PairData,
+    wind_speed: FloatArray,
+    yaw: FloatArray,
+    length_scale: FloatArray,
+    gamma: FloatArray,
+) -> list[FloatArray]:
+    """Return what is known at nodes for each record, linear between those around it."""
     point = np.stack(
         [
             np.log(np.clip(wind_speed, *_SPEEDS)),
@@ -204,13 +216,13 @@ def _between(
         if len(some) == 0:
             continue
         nodes, of = np.unique(low[some] + corner, axis=0, return_inverse=True)
-        made = [_moments_at(of_scan, pairs.duration, position, *node) for node in nodes.astype(np.int64).tolist()]
+        made = [at_node(of_scan, pairs.duration, position, *node) for node in nodes.astype(np.int64).tolist()]
         stacked = [np.stack(values) for values in zip(*made, strict=True)]
         if not total:
             total = [np.zeros((len(point), *values.shape[1:])) for values in stacked]
         for into, values in zip(total, stacked, strict=True):
             into[some] += weight[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[of.reshape(-1)]
-    return CovarianceMoments(*total)
+    return total
 
 
 @dataclass(frozen=True)
@@ -221,20 +233,37 @@ class _Hashed:
     scan: Scan = field(compare=False)
 
 
+@dataclass(frozen=True)
+class _Node:
+    """What is seen at a node, in which wind."""
+
+    views: Views
+    turbulence: MannTurbulence
+    wind_speed: float
+    n_sample: int
+
+    @classmethod
+    def of(cls, scan: Scan, duration: float, position: tuple[float, ...], numbers: tuple[int, ...]) -> _Node:
+        """Return that of the numbers of the node along each axis."""
+        log_speed, yaw, log_length, gamma = (_STEPS * numbers).tolist()
+        views = Views.of_scan(scan, yaw)
+        if position:
+            views = views.with_mast(np.array(position) @ yaw_matrix(yaw))
+        turbulence = MannTurbulence(1.0, float(np.exp(log_length)), gamma)
+        return cls(views, turbulence, float(np.exp(log_speed)), int(np.min(sample_counts(scan, duration))))
+
+
 @lru_cache(maxsize=4096)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _moments_at(
-    scan: _Hashed, duration: float, position: tuple[float, ...], speed: int, yaw: int, length: int, gamma: int
-) -> CovarianceMoments:
-    node = _STEPS * [speed, yaw, length, gamma]
-    views = Views.of_scan(scan.scan, float(node[1]))
-    if position:
-        views = views.with_mast(np.array(position) @ yaw_matrix(float(node[1])))
-    found = covariance_moments(
-        views,
-        MannTurbulence(1.0, float(np.exp(node[2])), float(node[3])),
-        wind_speed=float(np.exp(node[0])),
-        n_sample=int(np.min(sample_counts(scan.scan, duration))),
-    )
+def _moments_at(scan: _Hashed, duration: float, position: tuple[float, ...], *numbers: int) -> CovarianceMoments:
+    node = _Node.of(scan.scan, duration, position, numbers)
+    found = covariance_moments(node.views, node.turbulence, wind_speed=node.wind_speed, n_sample=node.n_sample)
     size = found.record[0]
     return found._replace(tensor=found.tensor / size, record=found.record / size, ensemble=found.ensemble / size)
+
+
+@lru_cache(maxsize=4096)
+@one_thread()
+def _slopes_at(scan: _Hashed, duration: float, position: tuple[float, ...], *numbers: int) -> tuple[FloatArray]:
+    node = _Node.of(scan.scan, duration, position, numbers)
+    return (coherence_slopes(node.views, node.turbulence, wind_speed=node.wind_speed, n_sample=node.n_sample),)

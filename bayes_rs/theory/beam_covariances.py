@@ -107,9 +107,6 @@ class CovarianceMoments(NamedTuple):
     bias : ndarray, shape (n_datum,)
         By how much the mean of ln y differs from ln E[y], and that of z from the artanh of the expected covariance over
         the root of the expected variances.
-    slope : ndarray, shape (n_datum, 4)
-        By how much the means of the data change with the logarithms of `COHERENCE`, for the same stresses; of points.
-        With Γ the length scale goes as Γ^(−3/2), so that the spectrum of u stays where it is.
     """
 
     tensor: FloatArray
@@ -117,7 +114,6 @@ class CovarianceMoments(NamedTuple):
     ensemble: FloatArray
     covariance: FloatArray
     bias: FloatArray
-    slope: FloatArray
 
 
 def view_pairs(n_view: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -191,26 +187,42 @@ def covariance_moments(
     lines = setting.lines(turbulence)
     tensor = lines @ setting.nodes.trace / n_sample
     record = setting.at_a_point(turbulence)
-    slope = np.empty((len(tensor), len(COHERENCE)))
-    # a probe volume changes the data themselves, but hardly by how much they change with a scale
-    setting = _Setting(views.as_points(), wind_speed, n_sample, tolerance)
-    for column, name in enumerate(COHERENCE):
-        ends = []
-        for sign in (-1.0, 1.0):
-            if name in _ACROSS:  # eddies that reach farther across are beams that are closer
-                moved, own = setting.lines(turbulence, np.exp(-sign * _STEP * np.array(_ACROSS[name]))), record
-            else:
-                by = sign * _STEP * np.array(_FLOW[name])
-                flow = replace(
-                    turbulence,
-                    length_scale=turbulence.length_scale * np.exp(by[0]),
-                    gamma=turbulence.gamma * np.exp(by[1]),
-                )
-                moved, own = setting.lines(flow), setting.at_a_point(flow)
-            ends.append(_means(views, moved @ setting.nodes.trace / n_sample, own))
-        slope[:, column] = (ends[1] - ends[0]) / (2.0 * _STEP)
     covariance, bias = _data_moments(views, lines @ setting.nodes.weights, n_sample)
-    return CovarianceMoments(tensor, record, turbulence.stresses(), covariance, bias, slope)
+    return CovarianceMoments(tensor, record, turbulence.stresses(), covariance, bias)
+
+
+def coherence_slopes(
+    views: Views, turbulence: MannTurbulence, *, wind_speed: float, n_sample: int, tolerance: float = _TOLERANCE
+) -> FloatArray:
+    """Return by how much the means of a record's data change with the logarithms of `COHERENCE`, the stresses the same.
+
+    Parameters
+    ----------
+    views, turbulence, wind_speed, n_sample, tolerance
+        As for `covariance_moments`.
+
+    Returns
+    -------
+    slope : ndarray, shape (n_datum, 4)
+        Forward differences over 0.1. With Γ the length scale goes as Γ^(−3/2), so that the spectrum of u stays where it
+        is. They are those of points: a probe volume changes the data, but hardly by how much they change with a scale.
+    """
+    setting = _Setting(views.as_points(), wind_speed, n_sample, tolerance)
+    trace = setting.nodes.trace / n_sample
+    record = setting.at_a_point(turbulence)
+    here = _means(views, setting.lines(turbulence) @ trace, record)
+    slope = np.empty((len(here), len(COHERENCE)))
+    for column, name in enumerate(COHERENCE):
+        if name in _ACROSS:  # eddies that reach farther across are beams that are closer
+            moved, own = setting.lines(turbulence, np.exp(-_STEP * np.array(_ACROSS[name]))), record
+        else:
+            by_length, by_gamma = np.exp(_STEP * np.array(_FLOW[name]))
+            flow = replace(
+                turbulence, length_scale=turbulence.length_scale * by_length, gamma=turbulence.gamma * by_gamma
+            )
+            moved, own = setting.lines(flow), setting.at_a_point(flow)
+        slope[:, column] = (_means(views, moved @ trace, own) - here) / _STEP
+    return slope
 
 
 class _Setting:
