@@ -24,7 +24,8 @@ from bayes_rs.theory.sampling_times import sample_counts
 from bayes_rs.turbulence.mann import MannTurbulence
 
 _STEPS = np.array([0.25, np.deg2rad(10.0), 0.3, 0.5])  # of ln U, yaw, ln L and Γ
-_SPEEDS, _LENGTHS, _GAMMAS = (1.0, 50.0), (8.0, 600.0), (0.0, 5.0)  # what is beyond gets the theory of these
+_ANCHOR = np.array([0.0, 0.0, 0.0, 3.2])  # the nodes are at this plus steps: most records have the Γ of fu-2022
+_SPEEDS, _LENGTHS, _GAMMAS = (1.0, 50.0), (8.0, 600.0), (0.2, 5.2)  # what is beyond gets the theory of these
 _LEAST_WEIGHT = 1e-9
 
 
@@ -203,7 +204,7 @@ def _between(
         ],
         axis=-1,
     )
-    place = point / _STEPS
+    place = (point - _ANCHOR) / _STEPS
     # rounding must not make a node of its own of a value that lies at one
     low = np.floor(place + 1e-9)
     share = np.clip(place - low, 0.0, 1.0)
@@ -245,7 +246,7 @@ class _Node:
     @classmethod
     def of(cls, scan: Scan, duration: float, position: tuple[float, ...], numbers: tuple[int, ...]) -> _Node:
         """Return that of the numbers of the node along each axis."""
-        log_speed, yaw, log_length, gamma = (_STEPS * numbers).tolist()
+        log_speed, yaw, log_length, gamma = (_ANCHOR + _STEPS * numbers).tolist()
         views = Views.of_scan(scan, yaw)
         if position:
             views = views.with_mast(np.array(position) @ yaw_matrix(yaw))
