@@ -26,6 +26,8 @@ FILES = {
     *("summary.csv", "stresses.csv"),
 }
 KEPT_DRAWS = {"draws", "predicted", "posterior.nc", "corner.png"}
+NO_DRAWS = ("--draws", "none")
+"""What a test needs that looks at no draws and at no picture of them."""
 REPORT = 4
 """Lines of a read report of a file in which nothing is wrong."""
 HEADLINE = 3
@@ -299,7 +301,8 @@ class TestFit:
         expected = (finished[0] / "summary.csv").read_text()
         assert (tmp_path / "out" / "summary.csv").read_text() == expected
         assert open_fit(tmp_path / "out")["posterior"].identical(open_fit(finished[0])["posterior"])
-        assert fit(records, "--seed", 2, "--overwrite", "--derived", "tke", "--prior", "flat", "--prob", 0.5)[0] == 0
+        more = ("--seed", 2, "--derived", "tke", "--prior", "flat", "--prob", 0.5, *NO_DRAWS)
+        assert fit(records, "--overwrite", *more)[0] == 0
         other = summary_of(tmp_path / "out")
         assert set(other["prob"]) == {0.5}
         assert "tke" in set(other["stress"])
@@ -340,7 +343,7 @@ class TestFit:
     def test_a_beam_that_says_nothing_is_left_out(self, fit, tmp_path, value, word):
         table = velocities()
         table.loc[table["beam"] == 4, "radial_velocity"] = value
-        code, out, err = fit(write(table, tmp_path / "one.csv"))
+        code, out, err = fit(write(table, tmp_path / "one.csv"), *NO_DRAWS)
         assert code == 0
         assert out.splitlines()[0].endswith("; 2 of 2 records fitted")
         assert any(f"flag {word}: 2 of 12 beams of records" in line for line in err)
@@ -475,6 +478,7 @@ class TestLongFit:
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
         table = velocities()
         common = ["--scan", "2-beam", "--ess", 100, "--sampler", "direct", "--length-scale-sd", 0.1, "-v"]
+        common += NO_DRAWS
         file = write(table[table["beam"] < 2], tmp_path / "two.csv")
         code, _, err = bayes_rs("fit", file, *common, "-o", tmp_path / "out")
         assert code == 0, err

@@ -133,7 +133,7 @@ class TestNumbers:
 
 class TestInterruptions:
     # writes: run.json twice, then for each of 5 files a part and the state, or the state only, then the fit's
-    @pytest.mark.parametrize("number", [3, 4, 5, 8, 13, 15])
+    @pytest.mark.parametrize("number", [8, 15, *(pytest.param(n, marks=pytest.mark.long) for n in (3, 4, 5, 13))])
     def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(self, files, noise, whole, tmp_path, number):
         done = run_that_stops(files, tmp_path / "out", noise, number=number, sent="SIGKILL")
         assert done.returncode == -signal.SIGKILL, done.stderr

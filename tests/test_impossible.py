@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import netCDF4
 import numpy as np
@@ -17,8 +18,10 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 from scenes import plain_noise, records_of
 
 import bayes_rs as brs
+from bayes_rs.campaign import sampling
 from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
+from bayes_rs.fits import campaign_job
 from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.quality.belief import Impossible, is_mark, of_unset_clock
@@ -501,7 +504,10 @@ class TestRecordsOfAUser:
         assert believed(records) is records
 
     @pytest.mark.parametrize("value", [9999.0, -9999.0, 1e6, 1e20, DEFAULT_FILL])
-    def test_variances(self, value):
+    def test_variances(self, value, monkeypatch):
+        few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)  # the two need be the same alone
+        monkeypatch.setattr(campaign_job, "sample_campaign", few)
+        monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
         records = self.records()
         records["variance"].values[3, 2] = value
         wanted = self.records()
