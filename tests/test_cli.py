@@ -291,6 +291,7 @@ class TestFit:
         assert rows.loc["uu"]["mean"].to_numpy() == pytest.approx(STRESS[0], abs=4.0 * 0.24)
         assert (rows.loc["uu"]["low"].astype(float) > 0.0).all()
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_the_same_seed_and_the_records_in_between_give_the_same_numbers(
         self, fit, bayes_rs, finished, inputs, tmp_path
     ):
@@ -339,6 +340,7 @@ class TestFit:
         assert [line for line in err if line.startswith("record ")] == err[-2:]
         assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"corner.png"}
 
+    @pytest.mark.usefixtures("no_pictures")
     @pytest.mark.parametrize(("value", "word"), [(np.nan, "all_missing"), (-9.0, "constant")])
     def test_a_beam_that_says_nothing_is_left_out(self, fit, tmp_path, value, word):
         table = velocities()
@@ -380,6 +382,7 @@ class TestLongFit:
         records = xr.load_dataset(tmp_path / "kept" / "records.nc")
         xr.testing.assert_identical(xr.load_dataset(folder / "records.nc"), records)
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_records_of_several_files_are_one_campaign(self, fit, bayes_rs, inputs, tmp_path):
         whole = tmp_path / "whole.nc"
         assert bayes_rs("records", inputs / "good.csv", "--scan", "6-beam", "-o", whole)[0] == 0
@@ -400,6 +403,7 @@ class TestLongFit:
             other.to_netcdf(tmp_path / f"{name}.nc", engine="h5netcdf")
             refusal(*fit(files[0], tmp_path / f"{name}.nc", output=tmp_path / "mixed"), part, "fit them separately")
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_run_file_tells_what_was_run(self, long_fit, tmp_path):
         assert long_fit("--yaw-sd", 2, "--inflation", 1.3, "--draws", "none")[0] == 0
         run = json.loads((tmp_path / "out" / "run.json").read_text())
@@ -411,6 +415,7 @@ class TestLongFit:
         assert long_fit("--draws", "none")[0] == 0
         refusal(*bayes_rs("corner", tmp_path / "out"), "draws")
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_a_run_is_resumed_and_another_is_refused(self, long_fit, tmp_path):
         assert long_fit("--draws", "none")[0] == 0
         numbers = (tmp_path / "out" / "summary.csv").read_bytes()
@@ -474,6 +479,7 @@ class TestLongFit:
         assert err[-2] == "record 0 (2020-01-01T12:00): no_usable_beam"
         assert err[-1] == "and 1 more records: see the column flag of the summary"
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_an_uncertain_length_scale_gets_noise_that_spans_it(self, bayes_rs, monkeypatch, tmp_path):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
         table = velocities()

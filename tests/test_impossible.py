@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from functools import partial
 
 import netCDF4
 import numpy as np
@@ -18,10 +17,8 @@ from ray_files import e_windlidar, rays_of, six_beam, windcube_sweep, write_wind
 from scenes import plain_noise, records_of
 
 import bayes_rs as brs
-from bayes_rs.campaign import sampling
 from bayes_rs.cli.group import commands
 from bayes_rs.errors import InputError
-from bayes_rs.fits import campaign_job
 from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.quality.belief import Impossible, is_mark, of_unset_clock
@@ -144,6 +141,7 @@ class TestFillValuesNobodyDeclared:
         xr.testing.assert_equal(declared, wanted)
         assert doubt_lines(declared) == []
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_the_command_says_so_and_ends_with_1(self, tmp_path):
         series = series_of(HUB, n_scan=700)
         file = tmp_path / "a.csv"
@@ -504,10 +502,7 @@ class TestRecordsOfAUser:
         assert believed(records) is records
 
     @pytest.mark.parametrize("value", [9999.0, -9999.0, 1e6, 1e20, DEFAULT_FILL])
-    def test_variances(self, value, monkeypatch):
-        few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)  # the two need be the same alone
-        monkeypatch.setattr(campaign_job, "sample_campaign", few)
-        monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
+    def test_variances(self, value):
         records = self.records()
         records["variance"].values[3, 2] = value
         wanted = self.records()
@@ -543,6 +538,7 @@ class TestRecordsOfAUser:
         with pytest.raises(InputError, match=r"The records hold .* that no wind has: .*; check their unit"):
             brs.fit(records, HUB, seed=1, noise=plain_noise(HUB))
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_files_of_records(self, tmp_path):
         brs.save_scan(HUB, tmp_path / "six.toml")
         for number in range(2):

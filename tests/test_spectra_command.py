@@ -61,6 +61,7 @@ def noisy_day(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("common", [False, True])
 def test_its_records_go_into_a_fit(noisy_day, tmp_path, common):
     """Noise that was added is found, and taken away; the noise of the records is that of their length scale."""

@@ -32,6 +32,13 @@ signal.signal(signal.SIGINT, before)
 command.main()
 """
 """The command, with parts so small that a small fit has many moments. Before it has begun, Python itself is loaded."""
+WITHOUT_PICTURES = """
+from bayes_rs import __main__ as command
+from bayes_rs.cli import fit_commands
+fit_commands.draw_pictures = lambda *_: None
+command.main()
+"""
+"""The command, which draws nothing when the fit has ended."""
 N_FILE = 16
 """Files of the parts of that fit."""
 OF_RECORDS = (
@@ -179,15 +186,15 @@ class TestFolders:
     def test_a_fit_that_has_not_ended_is_none_and_goes_on(self, tmp_path):
         write_scene(tmp_path)
         fit = ("fit", "records.nc", *OF_RECORDS)
-        process = start(*fit, "-o", "out", folder=tmp_path)
+        process = start(*fit, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
         while process.poll() is None and not (tmp_path / "out" / "posterior.nc").exists():
             time.sleep(0.01)
         process.kill()
         process.communicate()
         with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
             brs.write_report(tmp_path / "out")
-        assert run(*fit, "-o", "out", folder=tmp_path)[0] == 0
-        assert run(*fit, "-o", "whole", folder=tmp_path)[0] == 0
+        for name in ("out", "whole"):
+            assert run(*fit, "-o", name, folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         one, other = (
             {file.name: file.read_bytes() for file in place.rglob("*") if file.is_file()}
             for place in (tmp_path / "out", tmp_path / "whole")
@@ -231,12 +238,12 @@ class TestFolders:
     @pytest.mark.parametrize("n_kill", [1, pytest.param(20, marks=pytest.mark.long)])
     def test_a_long_fit_goes_on(self, tmp_path, n_kill):
         write_scene(tmp_path)
-        assert run(*LONG, "-o", "whole", folder=tmp_path)[0] == 0
+        assert run(*LONG, "-o", "whole", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         for number, seconds in enumerate(moments(n_kill, 5.0, seed=2)):
-            process = start(*LONG, "-o", "out", folder=tmp_path)
+            process = start(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
             time.sleep(seconds)
             send(process, "parent", ("KILL", "TERM", "HUP", "INT")[number % 4])
-        assert run(*LONG, "-o", "out", folder=tmp_path)[0] == 0
+        assert run(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         for name in ("summary", "posterior", "draws"):
             one, other = (pd.read_parquet(tmp_path / folder / name) for folder in ("whole", "out"))
             pd.testing.assert_frame_equal(one, other)
