@@ -45,6 +45,12 @@ def dbs_folder() -> Path:
     return folder
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Let the command `fit` draw no pictures, which take half of the time of a small fit."""
+    monkeypatch.setattr("bayes_rs.cli.fit_commands.draw_pictures", lambda *_args, **_options: None)
+
+
 @pytest.fixture(scope="session")
 def arviz():
     with warnings.catch_warnings():

@@ -35,7 +35,7 @@ def make_records(n_record=N_RECORD):
         records["wind_speed"].values[2] = np.nan
         records["flag"].values[4, [0, 3]] = 1
         records["variance"].values[8] = 0.0
-        records["variance"].values[20, 0] *= 1e-3  # uneven weights: emcee takes over
+        records["variance"].values[20, 4] *= 1e-3  # uneven weights: emcee takes over, and is soon done
     return records
 
 

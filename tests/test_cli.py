@@ -26,6 +26,8 @@ FILES = {
     *("summary.csv", "stresses.csv"),
 }
 KEPT_DRAWS = {"draws", "predicted", "posterior.nc", "corner.png"}
+NO_DRAWS = ("--draws", "none")
+"""What a test needs that looks at no draws and at no picture of them."""
 REPORT = 4
 """Lines of a read report of a file in which nothing is wrong."""
 HEADLINE = 3
@@ -289,6 +291,7 @@ class TestFit:
         assert rows.loc["uu"]["mean"].to_numpy() == pytest.approx(STRESS[0], abs=4.0 * 0.24)
         assert (rows.loc["uu"]["low"].astype(float) > 0.0).all()
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_the_same_seed_and_the_records_in_between_give_the_same_numbers(
         self, fit, bayes_rs, finished, inputs, tmp_path
     ):
@@ -299,7 +302,8 @@ class TestFit:
         expected = (finished[0] / "summary.csv").read_text()
         assert (tmp_path / "out" / "summary.csv").read_text() == expected
         assert open_fit(tmp_path / "out")["posterior"].identical(open_fit(finished[0])["posterior"])
-        assert fit(records, "--seed", 2, "--overwrite", "--derived", "tke", "--prior", "flat", "--prob", 0.5)[0] == 0
+        more = ("--seed", 2, "--derived", "tke", "--prior", "flat", "--prob", 0.5, *NO_DRAWS)
+        assert fit(records, "--overwrite", *more)[0] == 0
         other = summary_of(tmp_path / "out")
         assert set(other["prob"]) == {0.5}
         assert "tke" in set(other["stress"])
@@ -336,11 +340,12 @@ class TestFit:
         assert [line for line in err if line.startswith("record ")] == err[-2:]
         assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"corner.png"}
 
+    @pytest.mark.usefixtures("no_pictures")
     @pytest.mark.parametrize(("value", "word"), [(np.nan, "all_missing"), (-9.0, "constant")])
     def test_a_beam_that_says_nothing_is_left_out(self, fit, tmp_path, value, word):
         table = velocities()
         table.loc[table["beam"] == 4, "radial_velocity"] = value
-        code, out, err = fit(write(table, tmp_path / "one.csv"))
+        code, out, err = fit(write(table, tmp_path / "one.csv"), *NO_DRAWS)
         assert code == 0
         assert out.splitlines()[0].endswith("; 2 of 2 records fitted")
         assert any(f"flag {word}: 2 of 12 beams of records" in line for line in err)
@@ -377,6 +382,7 @@ class TestLongFit:
         records = xr.load_dataset(tmp_path / "kept" / "records.nc")
         xr.testing.assert_identical(xr.load_dataset(folder / "records.nc"), records)
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_records_of_several_files_are_one_campaign(self, fit, bayes_rs, inputs, tmp_path):
         whole = tmp_path / "whole.nc"
         assert bayes_rs("records", inputs / "good.csv", "--scan", "6-beam", "-o", whole)[0] == 0
@@ -397,6 +403,7 @@ class TestLongFit:
             other.to_netcdf(tmp_path / f"{name}.nc", engine="h5netcdf")
             refusal(*fit(files[0], tmp_path / f"{name}.nc", output=tmp_path / "mixed"), part, "fit them separately")
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_run_file_tells_what_was_run(self, long_fit, tmp_path):
         assert long_fit("--yaw-sd", 2, "--inflation", 1.3, "--draws", "none")[0] == 0
         run = json.loads((tmp_path / "out" / "run.json").read_text())
@@ -408,6 +415,7 @@ class TestLongFit:
         assert long_fit("--draws", "none")[0] == 0
         refusal(*bayes_rs("corner", tmp_path / "out"), "draws")
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_a_run_is_resumed_and_another_is_refused(self, long_fit, tmp_path):
         assert long_fit("--draws", "none")[0] == 0
         numbers = (tmp_path / "out" / "summary.csv").read_bytes()
@@ -471,10 +479,12 @@ class TestLongFit:
         assert err[-2] == "record 0 (2020-01-01T12:00): no_usable_beam"
         assert err[-1] == "and 1 more records: see the column flag of the summary"
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_an_uncertain_length_scale_gets_noise_that_spans_it(self, bayes_rs, monkeypatch, tmp_path):
         monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
         table = velocities()
         common = ["--scan", "2-beam", "--ess", 100, "--sampler", "direct", "--length-scale-sd", 0.1, "-v"]
+        common += NO_DRAWS
         file = write(table[table["beam"] < 2], tmp_path / "two.csv")
         code, _, err = bayes_rs("fit", file, *common, "-o", tmp_path / "out")
         assert code == 0, err

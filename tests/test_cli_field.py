@@ -12,6 +12,7 @@ import bayes_rs as brs
 from bayes_rs.cli.group import commands
 from bayes_rs.folder_lock import locked
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
 SCAN = "6-beam"
 SHORT = ("--ess", "50", "--seed", "1")
 ANGLE = ("--scan", SCAN, "--opening-angle", "45", "--focus-distance", "52")

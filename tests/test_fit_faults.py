@@ -357,8 +357,11 @@ def killed(output, *numbers, overwrite=False):
 class TestKilled:
     """Each file is a line in the list and a name: some 50 steps of writing in all."""
 
-    def test_at_any_step_of_writing(self, made, tmp_path):
-        numbers = [0, 1, 2, 3, 5, 8, 13, 14, 21, 28, 34, 36, 38, 40, 41, 42]
+    @pytest.mark.parametrize(
+        "numbers",
+        [[0, 2, 13, 34, 40, 42], pytest.param([1, 3, 5, 8, 14, 21, 28, 36, 38, 41], marks=pytest.mark.long)],
+    )
+    def test_at_any_step_of_writing(self, made, tmp_path, numbers):
         codes = killed(tmp_path / "out", *numbers)
         assert codes.count(9) >= len(numbers) - 2
         for number in numbers:
@@ -369,8 +372,8 @@ class TestKilled:
             run(output=place, resume=True)
             check_whole(place, made)
 
-    def test_while_an_older_result_is_replaced(self, made, tmp_path):
-        numbers = [1, 4, 17, 33, 39]
+    @pytest.mark.parametrize("numbers", [[1, 33], pytest.param([4, 17, 39], marks=pytest.mark.long)])
+    def test_while_an_older_result_is_replaced(self, made, tmp_path, numbers):
         older = run(output=tmp_path / "older", seed=4).summary()
         for number in numbers:
             shutil.copytree(tmp_path / "older", tmp_path / f"out-{number}")

@@ -45,6 +45,11 @@ N_FILE = 5
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     monkeypatch.setattr(plan, "PART_RECORDS", 128)
+
+
+@pytest.fixture
+def saved_after_every_file(monkeypatch):
+    """Keep what was read after every file, which takes as long as all the rest."""
     monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
 
 
@@ -131,9 +136,10 @@ class TestNumbers:
         assert set(run["seconds"]) == {"fitting"}
 
 
+@pytest.mark.usefixtures("saved_after_every_file")
 class TestInterruptions:
     # writes: run.json twice, then for each of 5 files a part and the state, or the state only, then the fit's
-    @pytest.mark.parametrize("number", [3, 4, 5, 8, 13, 15])
+    @pytest.mark.parametrize("number", [8, 15, *(pytest.param(n, marks=pytest.mark.long) for n in (3, 4, 5, 13))])
     def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(self, files, noise, whole, tmp_path, number):
         done = run_that_stops(files, tmp_path / "out", noise, number=number, sent="SIGKILL")
         assert done.returncode == -signal.SIGKILL, done.stderr

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import ClassVar
 
 import distributed
 import fit_scene
@@ -274,7 +275,8 @@ class TestFolder:
             "from bayes_rs.fits import fit_writing, plan\n"
             "plan.PART_RECORDS = 64\n"
             "fit_writing.MOST_KEPT = 0\n"  # as of a long fit: no export of all draws at once
-            "fit_to(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', campaign='off', **OPTIONS)\n"
+            "options = {**OPTIONS, 'sampler': 'direct', 'campaign': 'off'}\n"
+            "fit_to(make_records(int(sys.argv[1])), SCAN, sys.argv[2], draws='float64', **options)\n"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
         )
         peak = [
@@ -294,14 +296,16 @@ class TestFolder:
 class TestMonths:
     """A part that holds records of two months is two files."""
 
+    DIRECT: ClassVar = {**OPTIONS, "sampler": "direct"}
+
     @pytest.fixture
     def straddling(self, records):
         turn = np.datetime64("2020-03-01", "ns") - 8 * np.timedelta64(600, "s")
         return records.assign_coords(time=("record", turn + np.arange(N_RECORD) * np.timedelta64(600, "s")))
 
     def test_each_can_be_read_alone(self, straddling, tmp_path):
-        found = fit_to(straddling, SCAN, tmp_path / "out", draws="float32", **OPTIONS)
-        same(found.summary(), fit(straddling, SCAN, **OPTIONS).summary())
+        found = fit_to(straddling, SCAN, tmp_path / "out", draws="float32", **self.DIRECT)
+        same(found.summary(), fit(straddling, SCAN, **self.DIRECT).summary())
         for name in ("summary", "posterior", "draws"):
             for month, expected in (("2020-02", range(8)), ("2020-03", range(8, N_RECORD))):
                 some = pd.read_parquet(Path(found.place) / name / f"month={month}")
@@ -310,10 +314,10 @@ class TestMonths:
                 same(chosen.drop(columns="month"), some)
 
     def test_a_part_is_whole_only_with_both(self, straddling, tmp_path):
-        folder = Path(fit_to(straddling, SCAN, tmp_path / "out", **OPTIONS).place)
+        folder = Path(fit_to(straddling, SCAN, tmp_path / "out", **self.DIRECT).place)
         (folder / "summary" / "month=2020-03" / "part-000001.parquet").unlink()
         before = pd.read_parquet(folder / "summary")
-        assert fit_to(straddling, SCAN, folder, resume=True, **OPTIONS).run["n_resumed"] == N_RECORD - PART
+        assert fit_to(straddling, SCAN, folder, resume=True, **self.DIRECT).run["n_resumed"] == N_RECORD - PART
         assert len(open_fit(folder).summary()) == len(before) + 2 * 6
 
 

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from report_scene import table_folder
 from bayes_rs import InputError, demo_file, fit, open_fit
 from bayes_rs.alarms.beam_check import BeamCheck
 from bayes_rs.alarms.words import CheckWords
+from bayes_rs.campaign import sampling
 from bayes_rs.cli.data_commands import records as records_command
-from bayes_rs.fits import folder_tables, plan
+from bayes_rs.fits import campaign_job, folder_tables, plan
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.folder_tables import FolderTables
 from bayes_rs.fits.people_table import PeopleRows, write_people_table
@@ -155,6 +157,9 @@ class TestMonths:
     @pytest.fixture
     def months(self, turbines, tmp_path, monkeypatch):
         monkeypatch.setattr(plan, "PART_RECORDS", 5)
+        few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)  # what is tested is their order
+        monkeypatch.setattr(campaign_job, "sample_campaign", few)
+        monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
         start = np.datetime64("2020-01-31T23:30", "ns") + np.arange(N_EACH) * np.timedelta64(600, "s")
         moved = [records.assign_coords(time=("record", start)) for records in turbines]
         fleet = xr.concat(moved, dim="record", data_vars="minimal", coords="minimal", compat="override")

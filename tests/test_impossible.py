@@ -141,6 +141,7 @@ class TestFillValuesNobodyDeclared:
         xr.testing.assert_equal(declared, wanted)
         assert doubt_lines(declared) == []
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_the_command_says_so_and_ends_with_1(self, tmp_path):
         series = series_of(HUB, n_scan=700)
         file = tmp_path / "a.csv"
@@ -537,6 +538,7 @@ class TestRecordsOfAUser:
         with pytest.raises(InputError, match=r"The records hold .* that no wind has: .*; check their unit"):
             brs.fit(records, HUB, seed=1, noise=plain_noise(HUB))
 
+    @pytest.mark.usefixtures("no_pictures")
     def test_files_of_records(self, tmp_path):
         brs.save_scan(HUB, tmp_path / "six.toml")
         for number in range(2):

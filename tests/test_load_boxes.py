@@ -240,7 +240,7 @@ class TestDrawsOfAFit:
             length_scale=("record", [50.0, 60.0]),
             length_scale_log_sd=("record", [0.3, 0.2]),
         )
-        found = brs.fit(own, "2-beam", noise=noise, seed=1)
+        found = brs.fit(own, "2-beam", noise=noise, seed=1, sampler="direct", target_ess=200)
         small = BoxGrid((16, 4, 4), (50.0, 20.0, 20.0))
         boxes = brs.export_boxes(found, 0, tmp_path / "boxes", grid=small, seed=5, n_box=60, format="turbsim")
         log = np.log(boxes["length_scale"] / 50.0)

@@ -4,6 +4,8 @@ The reference shares nothing with the package but the prior's own draws: the lik
 with dense matrices, the proposal is a wide Student-t about the reference's own moments, found from draws of the prior.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scenes import draw_variances, plain_noise
@@ -86,6 +88,13 @@ class Reference:
         return np.vstack([rows, np.transpose(quantiles)])
 
 
+@cache
+def reference(name, n_draw):
+    """Return effective sample size and statistics of a reference, which is the same for every sampler."""
+    found = Reference(name, n_draw)
+    return found.ess, found.statistics()
+
+
 def ours(name, sampler, target_ess):
     scan, noise, prior, variance = case(name)
     shape = (1, scan.n_beam)
@@ -104,9 +113,8 @@ def ours(name, sampler, target_ess):
 
 def errors(name, sampler, target_ess, n_reference):
     """Return the distances from the reference in posterior standard deviations, shape (5, 6)."""
-    reference = Reference(name, n_reference)
-    assert reference.ess > 0.2 * n_reference
-    expected = reference.statistics()
+    ess, expected = reference(name, n_reference)
+    assert ess > 0.2 * n_reference
     return (ours(name, sampler, target_ess) - expected) / expected[1]
 
 

@@ -67,6 +67,7 @@ class TestWords:
         assert probe_words(find_shipped_noise(load_scan(name), FLOW), [wind], [0.0]) == ""
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_fit_says_what_the_probe_takes_and_the_scans_name_says_that_it_is_off(tmp_path, monkeypatch):
     monkeypatch.setenv("BAYES_RS_CACHE", str(tmp_path / "cache"))
     series = simulate(load_scan("pulsed-4-beam"), FLOW, wind_speed=10.0, n_records=2, seed=3)

@@ -25,7 +25,7 @@ from bayes_rs.records.making import make_records
 from bayes_rs.records.record_store import store_records
 from bayes_rs.simulation.virtual import simulate
 
-N_FILE = 20
+N_FILE = 12
 
 
 @pytest.fixture(scope="module")

@@ -638,38 +638,49 @@ class TestKilled:
         "import test_result_folder as scene\n"
         "from pathlib import Path\n"
         "steps = iter(range(10**6))\n"
-        "def dying(function):\n"
+        "def dying(function, last):\n"
         "    def call(*arguments, **options):\n"
-        "        if next(steps) == int(sys.argv[2]):\n"
+        "        if next(steps) == last:\n"
         "            os.kill(os.getpid(), signal.SIGKILL)\n"
         "        return function(*arguments, **options)\n"
         "    return call\n"
-        "place = Path(sys.argv[1])\n"
-        "for name in ('replace', 'unlink', 'rmdir', 'mkdir', 'write_bytes', 'touch'):\n"
-        "    setattr(Path, name, dying(getattr(Path, name)))\n"
-        "for name in ('write', 'fsync'):\n"
-        "    setattr(os, name, dying(getattr(os, name)))\n"
-        "scene.finished(place, scene.OTHER, 'second', overwrite=True)\n"
-        "print(next(steps))\n"
+        "for step in map(int, sys.argv[2:]):  # forked before any thread is started\n"
+        "    child = os.fork()\n"
+        "    if child == 0:\n"
+        "        for name in ('replace', 'unlink', 'rmdir', 'mkdir', 'write_bytes', 'touch'):\n"
+        "            setattr(Path, name, dying(getattr(Path, name), step))\n"
+        "        for name in ('write', 'fsync'):\n"
+        "            setattr(os, name, dying(getattr(os, name), step))\n"
+        "        scene.finished(Path(sys.argv[1], str(step), 'out'), scene.OTHER, 'second', overwrite=True)\n"
+        "        print(next(steps), flush=True)\n"
+        "        os._exit(0)\n"
+        "    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)\n"
     )
 
-    def run(self, place, step):
-        return subprocess.run(  # noqa: S603 - our own script
-            [sys.executable, "-c", self.SCRIPT, str(place), str(step)], capture_output=True, text=True, check=False
+    def run(self, folder, steps):
+        """Replace the result in the folder of each step, and be killed at it; return what was printed."""
+        done = subprocess.run(  # noqa: S603 - our own script
+            [sys.executable, "-c", self.SCRIPT, str(folder), *map(str, steps)],
+            capture_output=True,
+            text=True,
+            check=False,
         )
+        assert done.returncode == 0, done.stderr
+        return [int(word) for word in done.stdout.split()]
 
     @pytest.mark.slow
-    def test_at_every_step(self, place):
-        old = contents(finished(place))
-        shutil.copytree(place, place.parent / "copy")
-        process = self.run(place, 10**5)
-        assert process.returncode == 0, process.stderr
-        n_step = int(process.stdout)
-        new = contents(place)
+    def test_at_every_step(self, tmp_path):
+        whole = tmp_path / f"{10**5}" / "out"
+        old = contents(finished(whole))
+        shutil.copytree(whole, tmp_path / "copy")
+        n_step, code = self.run(tmp_path, [10**5])
+        assert code == 0
+        new = contents(whole)
         for step in range(n_step):
-            shutil.rmtree(place)
-            shutil.copytree(place.parent / "copy", place)
-            assert self.run(place, step).returncode == -signal.SIGKILL
+            shutil.copytree(tmp_path / "copy", tmp_path / f"{step}" / "out")
+        assert self.run(tmp_path, range(n_step)) == [-signal.SIGKILL] * n_step
+        for step in range(n_step):
+            place = tmp_path / f"{step}" / "out"
             if place.exists():
                 assert contents(place) in (old, new, {**new, f"{HALF}partial": b""})
             else:
@@ -678,7 +689,7 @@ class TestKilled:
                 warnings.simplefilter("error")
                 finished(place, OTHER, "second", resume=True, overwrite=True)
             assert contents(place) == new, step
-            assert [name for name in listed(place.parent) if not name.startswith(".out")] == ["copy", "out"], step
+            assert [name for name in listed(place.parent) if not name.startswith(".out")] == ["out"], step
 
 
 class TestTwoProcesses:

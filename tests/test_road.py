@@ -14,6 +14,7 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import FitOptions, MannTurbulence, Noise, Nuisances, Settings
+from bayes_rs.campaign import sampling
 from bayes_rs.fits import campaign_job, plan
 from bayes_rs.fits.groups import GROUPS
 from bayes_rs.fits.settings import option_places
@@ -58,7 +59,8 @@ def small_parts(monkeypatch):
 @pytest.fixture(autouse=True)
 def few_sweeps(monkeypatch):
     """A campaign is sampled shortly: what is tested is the way of its numbers."""
-    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=40)
+    monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
+    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
     monkeypatch.setattr(campaign_job, "sample_campaign", few)
 
 
@@ -270,13 +272,28 @@ NEEDS = {"instrument_noise_log_sd": {"instrument_noise": 0.05}}
 """Options of the fit that a nuisance needs."""
 OTHER_SCAN = {"probe_length_log_sd": "@probe=zx-tm"}
 """What a nuisance needs of the scan."""
+WHATEVER_BEAMS = {
+    *("seed", "sampler", "target_ess", "max_extension", "monte_carlo_error", "prob", "interval", "derived", "draws"),
+    *("unsteady_level", "campaign_group", "campaign_unsteady"),
+}
+"""Options of what is done with a likelihood, or without one: with many beams in the long run only."""
 MAST = " beside a mast"
 """The scene of what needs one."""
 
 
 def cases(cls, known):
-    """The fields of a class of options, with what they change; a field without a case fails."""
-    return [pytest.param(entry.name, known.get(entry.name), id=entry.name) for entry in options_of(cls)]
+    """Few and many beams with the fields of a class of options, and what they change; a field without a case fails."""
+    return [
+        pytest.param(
+            beams,
+            entry.name,
+            known.get(entry.name),
+            id=f"{entry.name}-{beams}",
+            marks=[pytest.mark.long] * (beams == "50-beam" and entry.name in WHATEVER_BEAMS),
+        )
+        for beams in ("6-beam", "50-beam")
+        for entry in options_of(cls)
+    ]
 
 
 def told(found):
@@ -368,14 +385,13 @@ def check_arrives(scene, base_fits, name, base, changed, tmp_path, kind="plain")
     return run["settings"]["fit"]
 
 
-@pytest.mark.parametrize("beams", ["6-beam", "50-beam"])
 class TestEveryOptionArrives:
     @pytest.fixture(autouse=True)
     def another_likelihood(self, monkeypatch):
         """There is one; another is registered, so that its name can be told apart from the default."""
         monkeypatch.setitem(LIKELIHOODS, "gamma", OTHER_LIKELIHOODS["gamma"])
 
-    @pytest.mark.parametrize(("name", "case"), cases(FitOptions, OPTION_CASES))
+    @pytest.mark.parametrize(("beams", "name", "case"), cases(FitOptions, OPTION_CASES))
     def test_of_the_fit(self, scenes_of, base_fits, beams, name, case, tmp_path):
         assert case is not None, f"say in OPTION_CASES what {name} changes"
         scene = scenes_of[beams + MAST * (name == "mast_log_sd")]
@@ -383,7 +399,7 @@ class TestEveryOptionArrives:
         value = case[1][name]
         assert settings[name] == (to_plain(value) if isinstance(value, Nuisances) else json.loads(json.dumps(value)))
 
-    @pytest.mark.parametrize(("name", "case"), cases(Nuisances, NUISANCE_CASES))
+    @pytest.mark.parametrize(("beams", "name", "case"), cases(Nuisances, NUISANCE_CASES))
     def test_of_the_nuisances(self, scenes_of, base_fits, beams, name, case, tmp_path):
         assert case is not None, f"say in NUISANCE_CASES what {name} changes"
         base, changed = ({**one} for one in case)
@@ -404,3 +420,4 @@ def test_every_field_has_its_case_and_every_case_its_field():
     for cls, known in ((FitOptions, OPTION_CASES), (Nuisances, NUISANCE_CASES)):
         assert {entry.name for entry in options_of(cls)} == set(known)
     assert set(OPTION_CASES) | set(NUISANCE_CASES) <= set(option_places())
+    assert set(OPTION_CASES) > WHATEVER_BEAMS

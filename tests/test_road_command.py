@@ -66,11 +66,9 @@ def _likelihood_of_our_own(monkeypatch):
 
 
 @pytest.fixture
-def bayes_rs(monkeypatch, capsys):
+def bayes_rs(monkeypatch, capsys, no_pictures):  # noqa: ARG001 - there are none
     """Run a command line; return its exit code, and the lines of stdout and stderr."""
     from bayes_rs import cli  # noqa: PLC0415 - beside its use
-
-    monkeypatch.setattr(fit_commands, "draw_pictures", lambda *_args, **_options: None)  # most of the time of a fit
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["bayes-rs", *map(str, words)])

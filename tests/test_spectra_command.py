@@ -44,18 +44,28 @@ def test_the_command_writes_tables_a_figure_and_what_it_did(tmp_path):
     assert isinstance(again.exception, brs.InputError)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("common", [False, True])
-def test_its_records_go_into_a_fit(tmp_path, common):
-    """Noise that was added is found, and taken away; the noise of the records is that of their length scale."""
-    scan, added = brs.load_scan("2-beam"), 0.3
+ADDED = 0.3
+"""Variance of the instrument noise in the file below, m² s⁻²."""
+
+
+@pytest.fixture(scope="module")
+def noisy_day(tmp_path_factory):
     flow = brs.load_turbulence("stable-offshore")  # L is 16 m, the fit's own 61 m
-    series = brs.simulate(scan, flow, wind_speed=10.0, n_records=20, seed=1)
-    noise = np.random.default_rng(2).normal(0.0, np.sqrt(added), series.sizes["sample"])
+    series = brs.simulate("2-beam", flow, wind_speed=10.0, n_records=20, seed=1)
+    noise = np.random.default_rng(2).normal(0.0, np.sqrt(ADDED), series.sizes["sample"])
     series["radial_velocity"] = series["radial_velocity"] + noise
     table = series.to_dataframe().reset_index(drop=False)[["time", "beam", "radial_velocity"]]
-    table.to_csv(tmp_path / "day.csv", index=False)
-    arguments = [str(tmp_path / "day.csv"), "--scan", "2-beam", "--positive", "away", "-o", str(tmp_path / "out")]
+    file = tmp_path_factory.mktemp("noisy") / "day.csv"
+    table.to_csv(file, index=False)
+    return file
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize("common", [False, True])
+def test_its_records_go_into_a_fit(noisy_day, tmp_path, common):
+    """Noise that was added is found, and taken away; the noise of the records is that of their length scale."""
+    arguments = [str(noisy_day), "--scan", "2-beam", "--positive", "away", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(spectra, [*arguments, *(["--one-length-scale"] if common else [])])
     assert done.exit_code == 0, done.output
     assert f"each record with {'the length scale of all' if common else 'its own length scale'}" in done.output
@@ -66,11 +76,12 @@ def test_its_records_go_into_a_fit(tmp_path, common):
     np.testing.assert_allclose(records["length_scale"], expected, rtol=1e-12)
     assert 10.0 < pooled < 25.0
     found = np.unique(records["instrument_noise"].values)
-    assert found == pytest.approx([added], abs=0.045)  # five of its standard deviations, as with_instrument_noise says
+    assert found == pytest.approx([ADDED], abs=0.045)  # five of its standard deviations, as with_instrument_noise says
     uu = {}
     for name, more in (("with", ["--instrument-noise", "records"]), ("without", ["--instrument-noise", "0"])):
         target = tmp_path / name
         given = [str(tmp_path / "out" / "records.nc"), "--scan", "2-beam", "--sampler", "direct", "--ess", "200"]
+        given += ["--draws", "none"]
         done = CliRunner().invoke(fit, [*given, *more, "-o", str(target)])
         assert done.exit_code == 0, done.output
         rows = pd.read_csv(target / "summary.csv")

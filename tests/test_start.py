@@ -46,14 +46,19 @@ LATER = SCIPY - {"scipy.special", "scipy.fft"}
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    """A folder with a file, and a fit of it."""
+def fitted(tmp_path_factory):
+    """A folder with a file and a fit of it, and the modules that were there after the fit."""
     folder = tmp_path_factory.mktemp("start")
     series = brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
     table = series.to_dataframe().reset_index(drop=True)[["time", "beam", "radial_velocity"]]
     table.to_csv(folder / "day.csv", index=False, date_format="%Y-%m-%dT%H:%M:%S.%f")
-    loaded("command(*'fit day.csv --scan 2-beam -o OUT --sampler direct --ess 100'.split())", folder)
-    return folder
+    return folder, loaded("command(*'fit day.csv --scan 2-beam -o OUT --ess 100'.split())", folder)
+
+
+@pytest.fixture(scope="module")
+def scene(fitted):
+    """The folder alone."""
+    return fitted[0]
 
 
 def loaded(code, folder=None):
@@ -121,7 +126,6 @@ def test_of_commands_without_files(words, not_there, scene):
         ),
         ("corner OUT -o corner.png --overwrite", {*FIT, *NEVER, "scipy.stats", "scipy.interpolate"}),
         ("report OUT -o report.html --overwrite", {*PICTURES, *FIT, *NEVER, "scipy.stats", "scipy.interpolate"}),
-        ("fit day.csv --scan 2-beam -o OUT --overwrite --ess 100", NEVER),
     ],
 )
 def test_of_commands_of_files(words, not_there, scene):
@@ -129,10 +133,13 @@ def test_of_commands_of_files(words, not_there, scene):
     assert loaded(f"command(*{words!r}.split())", scene) & not_there == set()
 
 
-def test_what_is_looked_for_is_there_where_it_is_used(scene):
+def test_of_a_fit(fitted):
+    assert fitted[1] & NEVER == set()
+
+
+def test_what_is_looked_for_is_there_where_it_is_used(fitted):
     """The names above are those of modules, so that one that is never loaded is not so by its spelling."""
-    found = loaded("command(*'fit day.csv --scan 2-beam -o OUT --overwrite --ess 100'.split())", scene)
-    assert {"emcee", "loky", "scipy.stats", "matplotlib", *TABLES, *FIT} <= found
+    assert {"emcee", "loky", "scipy.stats", "matplotlib", *TABLES, *FIT} <= fitted[1]
     found = loaded("import arviz, scipy.signal; import bayes_rs as brs; brs.plot.corner")
     assert {"arviz", "scipy.signal"} <= found
 

@@ -71,6 +71,13 @@ def probabilities(deviation, noise):
     return of_means, stats.f.sf(hotelling * (n - size) / (size * (n - 1)), size, n - size)
 
 
+@pytest.fixture(scope="module")
+def at_45_degrees():
+    """A scan, and what `deviations` finds for it."""
+    scan = load_scan("6-beam", opening_angle_deg=45.0)
+    return scan, *deviations(scan, "seed", 600.0, N_RECORDS)
+
+
 class TestLines:
     @pytest.mark.parametrize("flow", FLOWS)
     @pytest.mark.parametrize(
@@ -116,9 +123,8 @@ class TestLines:
         ],
         ids=lambda wrong: next(iter(wrong)),
     )
-    def test_a_wrong_theory_is_caught(self, wrong):
-        scan = load_scan("6-beam", opening_angle_deg=45.0)
-        deviation, noise = deviations(scan, "seed", 600.0, N_RECORDS)
+    def test_a_wrong_theory_is_caught(self, at_45_degrees, wrong):
+        scan, deviation, noise = at_45_degrees
         right = {"turbulence": SEED, "wind_speed": 10.0, "duration": 600.0, "yaw": scan.yaw}
         other = theory_noise(scan, **{**right, **wrong})
         variance = (1.0 + deviation) * expected_variance(noise)

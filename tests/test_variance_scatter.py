@@ -240,7 +240,8 @@ class TestFit:
         found = {}
         for name, one in (("calm", series), ("wandering", wander)):
             records = brs.make_records(one, scan)
-            fit = brs.fit(records, scan, noise=noise, seed=1, target_ess=100, draws="none", say=lines.append)
+            options = {"seed": 1, "target_ess": 100, "sampler": "direct", "campaign": "off", "draws": "none"}
+            fit = brs.fit(records, scan, noise=noise, say=lines.append, **options)
             found[name] = fit.records["variance_scatter"].values
         assert found["calm"].mean() < 0.01
         assert 0.1 < found["wandering"].mean() < 0.4

@@ -141,6 +141,7 @@ class TestCommand:
         ]
         return CliRunner().invoke(commands, [str(word) for word in words])
 
+    @pytest.mark.usefixtures("no_pictures")
     @pytest.mark.parametrize("draws", ["float64", "none"])
     def test_it_is_what_the_functions_give(self, inputs, tmp_path, draws):
         more = ("--sampler", "direct", "--yaw-sd", "records", "--draws", draws, "-o", tmp_path / "out")

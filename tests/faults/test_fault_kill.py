@@ -21,7 +21,6 @@ from bayes_rs.output import output_folder, write_netcdf, write_run
 from bayes_rs.result_folder import open_result_folder
 
 pytestmark = pytest.mark.slow
-LONG = (*FIT, "--draws", "float32", "--resume")
 SMALL_PARTS = """
 import signal
 from bayes_rs import __main__ as command
@@ -33,6 +32,13 @@ signal.signal(signal.SIGINT, before)
 command.main()
 """
 """The command, with parts so small that a small fit has many moments. Before it has begun, Python itself is loaded."""
+WITHOUT_PICTURES = """
+from bayes_rs import __main__ as command
+from bayes_rs.cli import fit_commands
+fit_commands.draw_pictures = lambda *_: None
+command.main()
+"""
+"""The command, which draws nothing when the fit has ended."""
 N_FILE = 16
 """Files of the parts of that fit."""
 OF_RECORDS = (
@@ -48,7 +54,8 @@ OF_RECORDS = (
     "3",
     "--resume",
 )
-KILLS = [("parent", name) for name in ("KILL", "TERM", "HUP", "INT")] + [("workers", "KILL"), ("all", "TERM")]
+LONG = ("fit", "records.nc", *OF_RECORDS, "--draws", "float32")
+KILLS = [("parent", "KILL"), ("parent", "INT"), ("workers", "KILL"), ("all", "TERM")]
 MORE_KILLS = [(who, name) for who in ("parent", "workers", "all") for name in ("KILL", "TERM", "HUP", "INT")]
 TWENTY_KILLS = MORE_KILLS + [("parent", name) for name in ("KILL", "TERM", "HUP", "INT")] * 2
 
@@ -169,17 +176,25 @@ class TestFiles:
         assert series.sizes["sample"] == 2
 
 
+def write_scene(folder):
+    """Write the records of the small fit, and their noise."""
+    write_netcdf(make_records(20), folder / "records.nc")
+    NOISE.save(folder / "noise.nc")
+
+
 class TestFolders:
     def test_a_fit_that_has_not_ended_is_none_and_goes_on(self, tmp_path):
-        process = start(*FIT, "-o", "out", folder=tmp_path)
+        write_scene(tmp_path)
+        fit = ("fit", "records.nc", *OF_RECORDS)
+        process = start(*fit, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
         while process.poll() is None and not (tmp_path / "out" / "posterior.nc").exists():
             time.sleep(0.01)
         process.kill()
         process.communicate()
         with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
             brs.write_report(tmp_path / "out")
-        assert run(*FIT, "-o", "out", "--resume", folder=tmp_path)[0] == 0
-        assert run(*FIT, "-o", "whole", folder=tmp_path)[0] == 0
+        for name in ("out", "whole"):
+            assert run(*fit, "-o", name, folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         one, other = (
             {file.name: file.read_bytes() for file in place.rglob("*") if file.is_file()}
             for place in (tmp_path / "out", tmp_path / "whole")
@@ -191,8 +206,7 @@ class TestFolders:
     @pytest.mark.parametrize("kills", [KILLS, pytest.param(TWENTY_KILLS, marks=pytest.mark.long)])
     def test_any_signal_to_anyone_at_any_moment(self, tmp_path, kills):
         """What is finished is byte for byte that of a run that nobody stopped; what is not is never taken for it."""
-        write_netcdf(make_records(20), tmp_path / "records.nc")
-        NOISE.save(tmp_path / "noise.nc")
+        write_scene(tmp_path)
         fit = ("fit", "records.nc", *OF_RECORDS)
         assert run(*fit, "-o", "whole", folder=tmp_path, own=SMALL_PARTS)[0] == 0
         (tmp_path / "begun").unlink()
@@ -223,12 +237,13 @@ class TestFolders:
 
     @pytest.mark.parametrize("n_kill", [1, pytest.param(20, marks=pytest.mark.long)])
     def test_a_long_fit_goes_on(self, tmp_path, n_kill):
-        assert run(*LONG, "-o", "whole", folder=tmp_path)[0] == 0
+        write_scene(tmp_path)
+        assert run(*LONG, "-o", "whole", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         for number, seconds in enumerate(moments(n_kill, 5.0, seed=2)):
-            process = start(*LONG, "-o", "out", folder=tmp_path)
+            process = start(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
             time.sleep(seconds)
             send(process, "parent", ("KILL", "TERM", "HUP", "INT")[number % 4])
-        assert run(*LONG, "-o", "out", folder=tmp_path)[0] == 0
+        assert run(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
         for name in ("summary", "posterior", "draws"):
             one, other = (pd.read_parquet(tmp_path / folder / name) for folder in ("whole", "out"))
             pd.testing.assert_frame_equal(one, other)
@@ -237,6 +252,7 @@ class TestFolders:
 
     @pytest.mark.long
     def test_the_page_is_absent_or_whole(self, tmp_path):
+        write_scene(tmp_path)
         assert run(*LONG, "-o", "out", folder=tmp_path)[0] == 0
         for seconds in moments(2, 3.0, seed=3):
             kill_at(start("report", "out", "--overwrite", folder=tmp_path), seconds)
