@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,22 @@ _WHAT = (
 )
 
 
-def make_budget(fit: Fit) -> pd.DataFrame:
+class BudgetShown(NamedTuple):
+    """A budget as the page shows it.
+
+    Parameters
+    ----------
+    data : dict
+        What the script draws.
+    content : str
+        The section.
+    """
+
+    data: dict[str, Any]
+    content: str
+
+
+def make_budget(fit: Fit) -> BudgetShown:
     """Return the budget of a fit's records together, turbulence intensity with it.
 
     Raises
@@ -32,10 +47,11 @@ def make_budget(fit: Fit) -> pd.DataFrame:
     InputError
         As from `bayes_rs.budget`.
     """
-    return budget(fit, derived=tuple(fit.settings["fit"]["derived"]) or ("ti",))
+    found = budget(fit, derived=tuple(fit.settings["fit"]["derived"]) or ("ti",))
+    return BudgetShown(_data(found), _section(found))
 
 
-def budget_data(found: pd.DataFrame) -> dict[str, Any]:
+def _data(found: pd.DataFrame) -> dict[str, Any]:
     """Return what the script draws: the share of each source in each stress, and whose the stress is."""
     names = list(dict.fromkeys(found["stress"]))
     share = found.pivot(index="source", columns="stress", values="share")[names]
@@ -52,7 +68,7 @@ def budget_data(found: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def budget_section(found: pd.DataFrame) -> str:
+def _section(found: pd.DataFrame) -> str:
     """Return the content of the section."""
     kinds = found.drop_duplicates("source").set_index("source")["type"]
     sources = [source for source in kinds.index if source != COMBINED]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.fits.headline import Headline
@@ -16,7 +15,6 @@ from bayes_rs.records.layout import MAST
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.beside import Beside, beside_data, beside_section
-from bayes_rs.report.budget_section import budget_data, budget_section
 from bayes_rs.report.campaign_section import CampaignShown, campaign_data, campaign_section
 from bayes_rs.report.diagnostics_section import diagnostics_section
 from bayes_rs.report.found_sections import decided_section, intensity_section, shape_section
@@ -32,6 +30,9 @@ from bayes_rs.report.template import FIT_SCRIPTS, framed
 from bayes_rs.report.time_section import time_section
 from bayes_rs.report.turbines import turbine_table
 
+if TYPE_CHECKING:
+    from bayes_rs.report.budget_section import BudgetShown
+
 _HOUR = 3.6e6  # ms
 _TEN_MINUTES = 6e5  # ms
 _WITHOUT_SCRIPT = (
@@ -45,7 +46,7 @@ def render(
     title: str | None = None,
     reference: Reference | None = None,
     beside: Beside | None = None,
-    budget: pd.DataFrame | None = None,
+    budget: BudgetShown | None = None,
 ) -> str:
     """Return the whole page.
 
@@ -59,7 +60,7 @@ def render(
         Turbulence intensity of another instrument beside it.
     beside : Beside, optional
         Another fit of the same records.
-    budget : DataFrame, optional
+    budget : BudgetShown, optional
         The uncertainty budget.
 
     Returns
@@ -100,7 +101,7 @@ def render(
         "campaign": None if campaign is None else campaign_data(campaign),
         "reference": None if reference is None else reference_data(found, reference),
         "beside": None if beside is None else beside_data(beside, rows),
-        "budget": None if budget is None else budget_data(budget),
+        "budget": None if budget is None else budget.data,
     }
     named = "" if reference is None else reference.name
     compared = reference_section(found, reference) if reference is not None else ""
@@ -112,7 +113,7 @@ def render(
         ("record", "One record", record_section(found, timed=timed)),
         ("intensity", "Turbulence intensity", intensity_section(found, data)),
         ("decided", "What the data said", decided_section(found, data)),
-        ("budget", "Uncertainty budget", "" if budget is None else budget_section(budget)),
+        ("budget", "Uncertainty budget", "" if budget is None else budget.content),
         ("shape", "Shape of the tensor", shape_section(found, data)),
         ("diagnostics", "Flags and diagnostics", diagnostics_section(found)),
         ("read", "What was read", read_section(found, availability)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 import xarray as xr
@@ -16,12 +17,14 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.output import output_file
 from bayes_rs.report.beside import Beside, match_fits
-from bayes_rs.report.budget_section import make_budget
 from bayes_rs.report.page import render
 from bayes_rs.report.ranged_page import render_ranges
 from bayes_rs.report.reference_section import make_reference
 from bayes_rs.report.report_data import NUMBERS, ReportData, report_data
 from bayes_rs.result_folder import list_beside
+
+if TYPE_CHECKING:
+    from bayes_rs.report.budget_section import BudgetShown
 
 REPORT_FILE = "report.html"
 
@@ -115,13 +118,19 @@ def write_report(
         data = report_data(found, prob=prob)
         compared = _alone(found, data, prob) if beside is None else _match(found, data, beside, prob)
         measured = None if reference is None else make_reference(data, reference)
-        parts = make_budget(found) if budget else None
+        parts = _budget_of(found) if budget else None
         html = partial(render, data, title=title, reference=measured, beside=compared, budget=parts)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it
     return file
+
+
+def _budget_of(fit: Fit) -> BudgetShown:
+    from bayes_rs.report.budget_section import make_budget  # noqa: PLC0415 - all that fits comes with it
+
+    return make_budget(fit)
 
 
 def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
