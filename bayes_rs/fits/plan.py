@@ -37,7 +37,7 @@ from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.sizes import check_size, check_work
 
-LAYOUT = 6
+LAYOUT = 7
 """Version of the on-disk layout. A folder with another version cannot be resumed."""
 PART_RECORDS = 128
 """Records of a part: what each worker loses at most when a run is interrupted."""
