@@ -567,6 +567,21 @@ class TestMast:
         assert "By beams and mast and by variances" in page
         assert "they speak against the mast: believe what the variances say" in page
 
+    def test_a_flat_prior_is_what_a_right_mast_speaks_against(self):
+        """With vv and ww anywhere up to 25 m² s⁻², those of any mast are unlikely."""
+        scan, records = self.records()
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        table = mast_table(records, np.tile(FLOW.stresses(), (20, 1)))
+        beside = brs.wind.with_mast(records, table, position=(-98, 0, 0))
+        of_prior = {
+            prior: brs.fit(beside, scan, seed=1, noise=noise, campaign="off", prior=prior, target_ess=200).coherence()
+            for prior in ("weak", "flat")
+        }
+        assert not of_prior["weak"].doubted
+        words = of_prior["flat"].in_words()
+        assert "speak against the flat prior, or against the mast: fit with prior 'weak' to tell which" in words
+        assert "believe what the variances say" not in words
+
     def test_a_mast_that_is_there_only_where_nothing_was_fitted(self, tmp_path):
         """There is nothing to compare, which is said, and the report goes without; nor did it measure a record."""
         scan, records = self.records(2)
