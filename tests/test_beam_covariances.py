@@ -17,6 +17,7 @@ import bayes_rs as brs
 from bayes_rs.errors import InputError
 from bayes_rs.fits.digest import digest
 from bayes_rs.fits.fit_options import NoiseOptions
+from bayes_rs.fits.headline import measured_by
 from bayes_rs.fits.noise_choice import fit_inputs
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import pack_stress, unpack_stress
@@ -574,6 +575,34 @@ class TestMast:
         page = brs.write_report(fit).read_text()
         assert "By beams and mast and by variances" in page
         assert "they speak against the mast: believe what the variances say" in page
+
+    def test_a_flat_prior_is_what_a_right_mast_speaks_against(self):
+        """With vv and ww anywhere up to 25 m² s⁻², those of any mast are unlikely."""
+        scan, records = self.records()
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        table = mast_table(records, np.tile(FLOW.stresses(), (20, 1)))
+        beside = brs.wind.with_mast(records, table, position=(-98, 0, 0))
+        of_prior = {
+            prior: brs.fit(beside, scan, seed=1, noise=noise, campaign="off", prior=prior, target_ess=200).coherence()
+            for prior in ("weak", "flat")
+        }
+        assert not of_prior["weak"].doubted
+        words = of_prior["flat"].in_words()
+        assert "speak against the flat prior, or against the mast: fit with prior 'weak' to tell which" in words
+        assert "believe what the variances say" not in words
+
+    def test_a_mast_that_is_there_only_where_nothing_was_fitted(self, tmp_path):
+        """There is nothing to compare, which is said, and the report goes without; nor did it measure a record."""
+        scan, records = self.records(2)
+        records["flag"].values[0] = 1
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        beside = brs.wind.with_mast(records, table[:1], position=(-98, 0, 0))
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", output=tmp_path / "fit")
+        with pytest.raises(InputError, match="None of the 1 records that were fitted, of 2, has a covariance between"):
+            fit.coherence()
+        assert "believe what the variances say" not in brs.write_report(fit).read_text()
+        assert [measured_by(fit, record) for record in (0, 1)] == ["the beams and the mast beside", "the beams"]
 
     def test_a_mast_elsewhere_is_another_fit(self):
         """What tells fits apart, for a run that is resumed, knows where the mast stands."""

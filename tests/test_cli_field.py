@@ -319,8 +319,14 @@ class TestMast:
         far = tmp_path / "far.csv"
         frame = series.to_dataframe().reset_index(drop=True)[["time", "beam", "radial_velocity"]]
         pd.concat([frame.assign(range=r) for r in (40.0, 80.0)]).to_csv(far, index=False)
-        words = ("--scan", SCAN, "--range", "40,80", "--mast", table, *self.PLACE, "-o", tmp_path / "r.nc")
-        done = run("records", far, *words)
+        words = ("--scan", SCAN, "--mast", table, *self.PLACE, "-o", tmp_path / "r.nc")
+        for command in ("records", "fit"):  # before hours of reading
+            done = run(command, far, "--range", "40,80", *words)
+            assert "A mast stands beside records of one range: read the files of radial" in str(done.exception)
+            assert not list(tmp_path.glob("r.nc*"))
+        made = run("records", far, "--scan", SCAN, "--range", "40,80", "-o", tmp_path / "both.nc")
+        assert made.exit_code == 0, made.output
+        done = run("records", tmp_path / "both.nc", *words)
         assert "The records are at 2 ranges (40, 80 m), and those of one" in str(done.exception)
 
     def test_the_wind_has_no_use_for_one(self, file, table, tmp_path):

@@ -269,6 +269,16 @@ class TestToTheLastBit:
         values[..., -1] = values.max(axis=-1)  # two that are the largest
         np.testing.assert_array_equal(log_sum(values), scipy.special.logsumexp(values, axis=-1))
 
+    def test_what_the_records_of_a_stream_of_many_ranges_say_is_kept(self):
+        """Twenty ranges take turns, each with six records that it remembers."""
+        _, octaves = _octaves(simulated(noise=0.2, n_records=6), SIX, 3.2)
+        ranges = [replace(octaves, energy=octaves.energy * (1.0 + 0.01 * number)) for number in range(20)]
+        for one in ranges:
+            pool_noise(one, median=61.0, log_sd=0.8)
+        before = pooled_noise._kept_density.cache_info().misses
+        pool_noise(ranges[0], median=61.0, log_sd=0.8)
+        assert pooled_noise._kept_density.cache_info().misses == before
+
     def test_records_one_by_one_say_what_they_say_together(self, monkeypatch):
         records = simulated(noise=0.2, n_records=6)
         _, octaves = _octaves(records, SIX, 3.2)

@@ -125,8 +125,9 @@ def boxes(
     )
     shown = table[["file", *STRESSES, "length_scale"]].round(2).rename(columns={"length_scale": "L"})
     tell(shown.to_string(index=False), wrap=False)
-    decided = found.of_stresses("decided")["decided"][int(first["record"])]
-    tell(f"in this record {decided_words(decided, by=measured_by(found))}")
+    index = int(first["record"])
+    decided = found.of_stresses("decided")["decided"][index]
+    tell(f"in this record {decided_words(decided, by=measured_by(found, index))}")
     tell(f"stresses in m² s⁻², L in m; boxes and {TABLE}, which says what each is of, in {output}", wrap=False)
     answer(
         {

@@ -46,7 +46,7 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     made = open_record_files(settings.files.files, scan)
     if made is not None:
         refuse_for_records(settings.files.files)
-    mast = mast_of(settings.records, made)  # what is wrong with it is said before hours of reading
+    mast = mast_of(settings.records, made, settings.files)  # what is wrong with it is said before hours of reading
     if made is None and settings.quality.blade_frequency is not None:  # whether blades pass is a matter of all samples
         made = _records_of_series(series_of(settings, scan), scan, settings)
     elif made is None:
@@ -96,7 +96,7 @@ def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset
     """Make records, with the lidar's motion and a mast; say on stderr what was read and dropped."""
     from bayes_rs.wind.mast import mast_of
 
-    mast = mast_of(settings.records, None)
+    mast = mast_of(settings.records, None, settings.files)
     return _added(_records_of_series(series, scan, settings), scan, settings, mast)
 
 

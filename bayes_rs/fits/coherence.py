@@ -42,6 +42,9 @@ class Coherence:
         Square of the mean of what differs, over what is expected of so many records at most: 1 or below if they do.
     pattern_probability : float
         Of a pattern as large as that, or larger, at most.
+    flat : bool
+        Whether the prior is flat: what the variances leave open is then larger than in any wind, which the data beside
+        tell, however right the model is.
     """
 
     data: tuple[str, ...]
@@ -51,6 +54,7 @@ class Coherence:
     share: float
     pattern: float
     pattern_probability: float
+    flat: bool = False
 
     @property
     def doubted(self) -> bool:
@@ -67,11 +71,12 @@ class Coherence:
             if self.pattern_probability < _LEVEL
             else ""
         )
-        verdict = (
-            f"they speak against {against}: believe what the variances say"
-            if self.doubted
-            else f"they do not speak against {against}"
-        )
+        if not self.doubted:
+            verdict = f"they do not speak against {against}"
+        elif self.flat:
+            verdict = f"they speak against the flat prior, or against {against}: fit with prior 'weak' to tell which"
+        else:
+            verdict = f"they speak against {against}: believe what the variances say"
         return (
             f"{what} scatter {self.misfit:.2f} times as expected about what the variances' "
             f"stresses make them ({self.n_record} record{'s' * (self.n_record != 1)}){same}: {verdict}"
@@ -88,7 +93,8 @@ def coherence_of(fit: FitData) -> Coherence | None:
     """
     if VARIANCES not in fit.source.datasets:
         return None
-    of_pairs = fit.run["settings"]["fit"].get("information") == "covariances"
+    options = fit.run["settings"]["fit"]
+    of_pairs = options.get("information") == "covariances"
     columns: dict[str, Any] = fit.of_records(PAIRS_MISFIT, N_PAIR)
     known = np.isfinite(columns[PAIRS_MISFIT])
     count = columns[N_PAIR][known]
@@ -105,6 +111,7 @@ def coherence_of(fit: FitData) -> Coherence | None:
         share=float(np.mean(chi2.sf(square, count) < 0.01)),
         pattern=pattern / n_datum,
         pattern_probability=float(chi2.sf(pattern, n_datum)),
+        flat=options.get("prior") == "flat",
     )
 
 

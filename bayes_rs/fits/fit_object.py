@@ -222,9 +222,14 @@ class Fit(FitData):
         Raises
         ------
         InputError
-            If the fit used the variances of the beams alone.
+            If the fit used the variances of the beams alone, or no record that was fitted has anything beside them.
         """
         found = coherence_of(self)
+        if found is None and VARIANCES in self.source.datasets:
+            raise InputError(
+                f"None of the {self.n_fitted} records that were fitted, of {self.n_record}, has a covariance between "
+                "beams, or a stress of a mast, to compare with the variances: see the flags of the records."
+            )
         if found is None:
             raise InputError(
                 "The fit has neither covariances between beams nor a mast beside: fit with information='covariances' "

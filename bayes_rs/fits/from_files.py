@@ -115,7 +115,7 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
     records = open_record_files(files, scan)
     if records is None:
         find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
-    mast = mast_of(settings.records, records)  # as above
+    mast = mast_of(settings.records, records, settings.files)  # as above
     if mast is not None:
         check_beside_mast(settings.fit)
     parts = _key_parts(settings, scan, noise)

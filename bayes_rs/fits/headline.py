@@ -147,9 +147,12 @@ def headline_of_ranges(
     return Headline(f"{found}; {_wind_words(wind)}; {counted}", _decided_at(shares), doubts, numbers)
 
 
-def measured_by(fit: FitData) -> str:
-    """Say whose data a fit is of."""
-    return "the beams and the mast beside" if MAST in fit.records else "the beams"
+def measured_by(fit: FitData, record: int | None = None) -> str:
+    """Say whose data a fit, or one of its records, is of."""
+    beside = MAST in fit.records
+    if beside and record is not None:
+        beside = bool(np.isfinite(fit.records[MAST].values[record]).any())
+    return "the beams and the mast beside" if beside else "the beams"
 
 
 def decided_words(shares: FloatArray, *, by: str = "the beams") -> str:

@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
+from bayes_rs.fits.coherence import coherence_of
 from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
@@ -135,9 +136,9 @@ def _budget_of(fit: Fit) -> BudgetShown:
 
 def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
     """Return what the variances say by themselves beside a fit that uses covariances or a mast, if there is any."""
-    if VARIANCES not in fit.source.datasets or prob not in (None, fit.settings["fit"]["prob"]) or not fit.n_fitted:
+    found = coherence_of(fit)
+    if found is None or prob not in (None, fit.settings["fit"]["prob"]):
         return None
-    found = fit.coherence()
     words = found.in_words()
     note = (
         f"{words[:1].upper()}{words[1:]}. {100.0 * found.share:.1f} % of the records have data beside as unlikely as "

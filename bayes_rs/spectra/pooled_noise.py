@@ -31,7 +31,8 @@ _SCALE = 0.3  # m/s; that of most lidars is less
 _SHARE = 0.02  # of the variance: shares of noise below it are as likely a priori, above those of all sizes are
 _LIGHT = 1e-4
 _REACH = 3.0  # standard deviations of a record's noise that are looked at
-_KEPT = 48  # records whose likelihoods are kept, 3 MB: more than the memory of a stream has
+_KEPT = 48  # records at most whose likelihoods are kept: more than the memory of a stream has
+_PLACES = 8  # so many times that: a stream of several ranges has such a memory at each, and they take turns; 25 MB
 _NODES = (7, 45, 25)  # at least; at most of few records and of many, of whom little is told only if each tells little
 
 
@@ -150,7 +151,7 @@ class _Record:
         return isinstance(other, _Record) and self._key == other._key
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_PLACES * _KEPT)
 @one_thread()  # what is kept must not depend on who asked for it first
 def _kept_density(record: _Record) -> FloatArray:
     return _density(record.octaves)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError, in_short
+from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
@@ -91,7 +92,7 @@ def with_mast(
     return _joined(records, read_mast(mast, _duration(records)), position)
 
 
-def mast_of(options: RecordOptions, records: xr.Dataset | None) -> MastStresses | None:
+def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptions) -> MastStresses | None:
     """Read what a mast measured from the files that the options of records name; None if they name none.
 
     Parameters
@@ -100,16 +101,23 @@ def mast_of(options: RecordOptions, records: xr.Dataset | None) -> MastStresses 
         With the files of the mast.
     records : Dataset, optional
         The records, if they are there already: a sonic's stresses are made for their length.
+    files : FileOptions
+        How radial velocities are read, if they are not.
 
     Raises
     ------
     InputError
-        As from `with_mast`.
+        As from `with_mast`, or if the radial velocities are to be read at ranges or heights.
     """
     if not options.mast:
         return None
     if records is not None:
         _check_records(records)
+    elif files.range is not None or files.height is not None:
+        raise InputError(
+            "A mast stands beside records of one range: read the files of radial velocities at one (--focus-distance "
+            "DISTANCE, in place of --range or --height), or leave the mast out."
+        )
     return read_mast(options.mast, options.duration if records is None else _duration(records))
 
 
