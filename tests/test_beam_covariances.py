@@ -503,7 +503,7 @@ class TestFit:
         fit = brs.fit(records.isel(record=[0]), scan, seed=1, campaign="off", noise=noise)
         with pytest.raises(InputError, match="information='covariances'"):
             fit.coherence()
-        with pytest.raises(InputError, match="used variances alone"):
+        with pytest.raises(InputError, match="used no covariances between beams"):
             fit.summary(information="covariances")
 
     def test_settings_have_the_correlations_made(self):

@@ -50,7 +50,7 @@ def wind(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
-    settings = settings_of(files, options)
+    settings = settings_of(files, options).changed(mast=(), mast_position=None)  # settings may name one: no wind of it
 
     from bayes_rs.output import output_file, write_csv
     from bayes_rs.turbulence.mann import load_turbulence

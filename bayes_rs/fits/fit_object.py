@@ -196,7 +196,8 @@ class Fit(FitData):
             return VARIANCES in self.source.datasets
         if self.settings["fit"].get("information", "variances") != information:
             raise InputError(
-                "The fit used variances alone: fit again with information='covariances' (--information covariances)."
+                "The fit used no covariances between beams: fit again with information='covariances' (--information "
+                "covariances)."
             )
         return False
 
