@@ -80,7 +80,10 @@ class TestHeadline:
         lines = ["all records together: beam 2 looks dead", "the beams' variances scatter 1.9 times as much: eddies"]
         clean = {"n_record": 2, "n_fitted": 0, "flag": np.zeros(2, dtype=np.int64)}
         run = {**found.run, "doubts": [], "beams": {"together": lines}}
-        fits = {k: SimpleNamespace(**clean, run={**run, "beams": {"together": lines[:k]}}) for k in (0, 1, 2)}
+        source = SimpleNamespace(datasets=("summary", "posterior"))
+        fits = {
+            k: SimpleNamespace(**clean, source=source, run={**run, "beams": {"together": lines[:k]}}) for k in (0, 1, 2)
+        }
         told = headline_of_ranges({}, fits, ["80 m", "120 m", "160 m"], pd.DataFrame())
         assert told.doubtful == "all records together: the beams are not as the model has them at 2 of 3 ranges"
         assert told.numbers["doubtful"]["beams"] == [lines[0], *lines]
@@ -107,6 +110,7 @@ class TestHeadline:
             place: SimpleNamespace(
                 flag=np.array([0, FLAGS["unsteady"] * (place == 2)]),
                 run={"doubts": [], "campaign": {"on": False}},
+                source=SimpleNamespace(datasets=("summary", "posterior")),
                 n_record=2,
                 n_fitted=2,
                 fitted=np.array([True, True]),
