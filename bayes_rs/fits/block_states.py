@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan import Scan, ScanByKey
 from bayes_rs.noise.noise import Noise
 from bayes_rs.processor import one_thread
 from bayes_rs.records.block_statistics import BLOCKS, blocks_of, chosen_beams, n_part
@@ -93,7 +93,7 @@ class BlockStates:
         """Return what theory expects in a state."""
         if state not in self._made:
             self._made[state] = _theory(
-                _in_use(_Hashed(self.scan), state.pattern),
+                _in_use(ScanByKey.of(self.scan), state.pattern),
                 replace(self.turbulence, length_scale=float(np.exp(_LENGTH_STEP * state.length)), name="", source=""),
                 float(np.exp(_SPEED_STEP * state.speed)),
                 float(_YAW_STEP * state.yaw),
@@ -102,29 +102,18 @@ class BlockStates:
         return self._made[state]
 
 
-@dataclass(frozen=True, eq=False)
-class _Hashed:
-    """A scan that is the same as another with the same key and yaw."""
-
-    scan: Scan
-
-    def __hash__(self) -> int:
-        return hash((self.scan.key, self.scan.yaw))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and (self.scan.key, self.scan.yaw) == (other.scan.key, other.scan.yaw)
-
-
 @lru_cache(maxsize=256)
-def _in_use(scan: _Hashed, pattern: int) -> _Hashed:
+def _in_use(scan: ScanByKey, pattern: int) -> ScanByKey:
     """Return the scan of those of the chosen beams whose bits are in a pattern."""
     chosen = chosen_beams(scan.scan)
-    return _Hashed(chosen.select([beam for index, beam in enumerate(chosen.beam.tolist()) if pattern >> index & 1]))
+    return ScanByKey.of(
+        chosen.select([beam for index, beam in enumerate(chosen.beam.tolist()) if pattern >> index & 1])
+    )
 
 
 @lru_cache(maxsize=1024)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _theory(scan: _Hashed, turbulence: MannTurbulence, wind_speed: float, yaw: float, duration: float) -> BlockTheory:
+def _theory(scan: ScanByKey, turbulence: MannTurbulence, wind_speed: float, yaw: float, duration: float) -> BlockTheory:
     return block_theory(
         scan.scan,
         turbulence,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.uncertain_length import NODES, WEIGHTS
-from bayes_rs.geometry.scan import Scan, yaw_matrix
+from bayes_rs.geometry.scan import Scan, ScanByKey, yaw_matrix
 from bayes_rs.processor import one_thread
 from bayes_rs.records.beam_correlation import CORRELATED_BEAMS, CORRELATION, correlated_beams, pair_columns
 from bayes_rs.records.layout import MAST, MAST_POSITION
@@ -209,7 +209,7 @@ def _between(
     low = np.floor(place + 1e-9)
     share = np.clip(place - low, 0.0, 1.0)
     position = pairs.position if pairs.mast is not None else ()
-    of_scan = _Hashed(pairs.scan.key, pairs.scan)
+    of_scan = ScanByKey.of(pairs.scan)
     total: list[FloatArray] = []
     for corner in product((0, 1), repeat=len(_STEPS)):
         weight = np.prod(np.where(corner, share, 1.0 - share), axis=-1)
@@ -224,14 +224,6 @@ def _between(
         for into, values in zip(total, stacked, strict=True):
             into[some] += weight[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[of.reshape(-1)]
     return total
-
-
-@dataclass(frozen=True)
-class _Hashed:
-    """A scan that is the same as another with the same key."""
-
-    key: str
-    scan: Scan = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -256,7 +248,7 @@ class _Node:
 
 @lru_cache(maxsize=4096)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _moments_at(scan: _Hashed, duration: float, position: tuple[float, ...], *numbers: int) -> CovarianceMoments:
+def _moments_at(scan: ScanByKey, duration: float, position: tuple[float, ...], *numbers: int) -> CovarianceMoments:
     node = _Node.of(scan.scan, duration, position, numbers)
     found = covariance_moments(node.views, node.turbulence, wind_speed=node.wind_speed, n_sample=node.n_sample)
     size = found.record[0]
@@ -265,6 +257,6 @@ def _moments_at(scan: _Hashed, duration: float, position: tuple[float, ...], *nu
 
 @lru_cache(maxsize=4096)
 @one_thread()
-def _slopes_at(scan: _Hashed, duration: float, position: tuple[float, ...], *numbers: int) -> tuple[FloatArray]:
+def _slopes_at(scan: ScanByKey, duration: float, position: tuple[float, ...], *numbers: int) -> tuple[FloatArray]:
     node = _Node.of(scan.scan, duration, position, numbers)
     return (coherence_slopes(node.views, node.turbulence, wind_speed=node.wind_speed, n_sample=node.n_sample),)

@@ -302,3 +302,27 @@ class Scan:
         """Fingerprint of the geometry, 16 hexadecimal digits: equal keys mean equal beams and timing."""
         text = json.dumps(self.geometry(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class ScanByKey:
+    """A scan that can be looked up: equal to others of the same key and yaw.
+
+    Parameters
+    ----------
+    key : str
+        `Scan.key`.
+    yaw : float
+        `Scan.yaw`, rad.
+    scan : Scan
+        The scan.
+    """
+
+    key: str
+    yaw: float
+    scan: Scan = field(compare=False)
+
+    @classmethod
+    def of(cls, scan: Scan) -> ScanByKey:
+        """Return that of a scan."""
+        return cls(scan.key, float(scan.yaw), scan)

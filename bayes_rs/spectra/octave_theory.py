@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import PointProbe
-from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan import Scan, ScanByKey
 from bayes_rs.processor import one_thread
 from bayes_rs.quality.octaves import octave_count
 from bayes_rs.spectra.beam_theory import scaled_autocovariance
@@ -207,19 +207,6 @@ def chosen_beams(n_beam: int, most: int = MOST_BEAMS) -> NDArray[np.int64]:
     return np.unique(np.round(np.linspace(0, n_beam - 1, min(most, n_beam))).astype(np.int64))
 
 
-class _ByKey:
-    """A scan that can be looked up: equal if all its numbers are."""
-
-    def __init__(self, scan: Scan) -> None:
-        self.scan = scan
-
-    def __hash__(self) -> int:
-        return hash(self.scan.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByKey) and self.scan.key == other.scan.key
-
-
 def octave_theory(
     scan: Scan, duration: float = 600.0, gamma: float = 3.2, *, yaw: Sequence[float] = (-np.pi, np.pi)
 ) -> OctaveTheory:
@@ -248,12 +235,12 @@ def octave_theory(
     """
     ends = np.zeros(2) if isinstance(scan.probe, PointProbe) else np.rad2deg(yaw) / _YAW_STEP
     first, last = int(np.floor(min(ends) + 1e-9)), int(np.ceil(max(ends) - 1e-9))
-    return _theory(_ByKey(scan), float(duration), float(gamma), first, max(last, first + 1))
+    return _theory(ScanByKey.of(scan), float(duration), float(gamma), first, max(last, first + 1))
 
 
 @lru_cache(maxsize=8)
 @one_thread()  # what is kept must not depend on who asked for it first
-def _theory(by_key: _ByKey, duration: float, gamma: float, first: int, last: int) -> OctaveTheory:
+def _theory(by_key: ScanByKey, duration: float, gamma: float, first: int, last: int) -> OctaveTheory:
     scan = by_key.scan
     interval, begin = scan.scan_duration, float(scan.beam_time[0])
     n_sample = int(samples_that_fit(duration - begin, interval))
