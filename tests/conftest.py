@@ -2,6 +2,7 @@
 
 import shutil
 import warnings
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,26 @@ def dbs_folder() -> Path:
 def no_pictures(monkeypatch):
     """Let the command `fit` draw no pictures, which take half of the time of a small fit."""
     monkeypatch.setattr("bayes_rs.cli.fit_commands.draw_pictures", lambda *_args, **_options: None)
+
+
+@pytest.fixture
+def no_groups_file(monkeypatch):
+    """Let fits in a folder write no `posterior.nc`, which takes half of the time of a small one.
+
+    It holds what the tables hold, once more; `test_road.py` compares it with them.
+    """
+    monkeypatch.setattr("bayes_rs.fits.fit_writing.MOST_KEPT", 0)
+
+
+@pytest.fixture
+def short_campaign(monkeypatch):
+    """A campaign is sampled shortly: what is tested is the way of its numbers."""
+    from bayes_rs.campaign import sampling  # noqa: PLC0415 - not for every test
+    from bayes_rs.fits import campaign_job  # noqa: PLC0415
+
+    monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
+    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
+    monkeypatch.setattr(campaign_job, "sample_campaign", few)
 
 
 @pytest.fixture(scope="session")

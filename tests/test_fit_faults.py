@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -26,12 +27,13 @@ pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parent
 N_RECORD = 11
 TABLES = ("summary", "posterior", "draws", "predicted")
-KEPT = {"summary.csv", "stresses.csv", "posterior.nc", "records.nc", "prior.parquet", "fit-key.json"}
+KEPT = {"summary.csv", "stresses.csv", "records.nc", "prior.parquet", "fit-key.json"}
 OPTIONS = {"noise": NOISE, "seed": 3, "target_ess": 100, "sampler": "direct"}
 RECORDS = fit_scene.make_records(N_RECORD)
 run = partial(fit, RECORDS, SCAN, **OPTIONS)
 KILLED = f"""
 import os, sys
+import distributed, h5netcdf, pyarrow.dataset, scipy.stats  # here, not in each child
 sys.path.insert(0, {str(TESTS)!r})
 from itertools import count
 from pathlib import Path
@@ -65,14 +67,27 @@ for number in map(int, numbers):  # forked before any thread is started: the fit
 
 
 @pytest.fixture(autouse=True)
-def small_parts(monkeypatch):
+def small_parts(monkeypatch, request):
     monkeypatch.setattr(plan, "PART_RECORDS", PART)
+    if "made_with_groups" not in request.fixturenames:
+        request.getfixturevalue("no_groups_file")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """The folder of an uninterrupted run."""
     folder = tmp_path_factory.mktemp("made") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "PART_RECORDS", PART)
+        patch.setattr(fit_writing, "MOST_KEPT", 0)
+        run(output=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made_with_groups(tmp_path_factory):
+    """The same with `posterior.nc`."""
+    folder = tmp_path_factory.mktemp("made-with-groups") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plan, "PART_RECORDS", PART)
         run(output=folder)
@@ -118,6 +133,13 @@ def tables_of(folder):
     return sorted(name for name in contents(folder) if name.split("/")[0] in TABLES)
 
 
+def flip(file, at):
+    """Flip a bit of the byte at a place of a file."""
+    content = bytearray(file.read_bytes())
+    content[at] ^= 16
+    file.write_bytes(content)
+
+
 class TestDamage:
     def test_flipped_bits_are_named_when_they_are_read(self, made, place):
         before = contents(made)
@@ -138,12 +160,16 @@ class TestDamage:
     @pytest.mark.parametrize("name", [*TABLES, *sorted(KEPT), "run.json", "fingerprints.jsonl"])
     def test_a_flipped_bit_is_made_good_by_resuming(self, made, place, name):
         file = place / name if (place / name).is_file() else next((place / name).rglob("part-000001.parquet"))
-        for at in np.random.default_rng(7).integers(file.stat().st_size, size=3).tolist():
-            content = bytearray(file.read_bytes())
-            content[at] ^= 16
-            file.write_bytes(content)
+        for at in np.random.default_rng(7).integers(file.stat().st_size, size=2).tolist():
+            flip(file, at)
             run(output=place, resume=True)
             check_whole(place, made)
+
+    def test_so_is_one_of_the_groups(self, made_with_groups, tmp_path):
+        place = Path(shutil.copytree(made_with_groups, tmp_path / "out"))
+        flip(place / "posterior.nc", 5000)
+        run(output=place, resume=True)
+        check_whole(place, made_with_groups)
 
     @pytest.mark.parametrize("name", TABLES)
     def test_a_valid_part_with_fewer_rows_is_made_again(self, made, place, name):
@@ -179,54 +205,49 @@ class TestDamage:
 class TestMissing:
     """The end counts what it owes."""
 
-    def spoiling(self, monkeypatch, spoil):
+    @contextmanager
+    def spoiling(self, spoil):
         def fitting(shared, part):
             if part.index == 2:
                 spoil()
             return fit_scene.FIT_PART(shared, part)
 
-        monkeypatch.setattr(fit_writing, "fit_part", fitting)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fit_writing, "fit_part", fitting)
+            yield
 
-    def test_a_part_is_deleted_while_the_run_goes_on(self, made, tmp_path, monkeypatch):
+    def test_a_part_is_deleted_while_the_run_goes_on(self, made, tmp_path):
         place = tmp_path / "out"
         part = "draws/month=2020-01/part-000000.parquet"
-        self.spoiling(monkeypatch, (place / part).unlink)
         words = (
             f"Output folder {str(place)!r} is not finished: 1 file that this run wrote cannot be used ({part} is "
             "missing); resume to make them again."
         )
-        with pytest.raises(LostResultsError, match=f"^{re.escape(words)}"):
+        with self.spoiling((place / part).unlink), pytest.raises(LostResultsError, match=f"^{re.escape(words)}"):
             run(output=place)
         assert json.loads((place / "run.json").read_text())["finished"] is False
         with pytest.raises(InputError, match="has not ended"):
             open_fit(place)
-        monkeypatch.undo()
-        monkeypatch.setattr(plan, "PART_RECORDS", PART)
         assert run(output=place, resume=True).run["n_resumed"] == N_RECORD - PART
         check_whole(place, made)
 
     @pytest.mark.parametrize("name", ["summary", "posterior", "predicted"])
-    def test_a_part_of_another_table(self, made, tmp_path, monkeypatch, name):
+    def test_a_part_of_another_table(self, made, tmp_path, name):
         place = tmp_path / "out"
-        self.spoiling(monkeypatch, lambda: (place / name / "month=2020-01" / "part-000001.parquet").write_bytes(b""))
-        with pytest.raises(LostResultsError, match=rf"{name}/month=2020-01/part-000001.parquet has 0 bytes, and \d+"):
+        emptied = place / name / "month=2020-01" / "part-000001.parquet"
+        words = rf"{name}/month=2020-01/part-000001.parquet has 0 bytes, and \d+"
+        with self.spoiling(lambda: emptied.write_bytes(b"")), pytest.raises(LostResultsError, match=words):
             run(output=place)
-        monkeypatch.undo()
-        monkeypatch.setattr(plan, "PART_RECORDS", PART)
         run(output=place, resume=True)
         check_whole(place, made)
 
-    def test_the_folder_is_renamed_meanwhile(self, made, tmp_path, monkeypatch):
+    def test_the_folder_is_renamed_meanwhile(self, made, tmp_path):
         place, moved = tmp_path / "out", tmp_path / "moved"
-        self.spoiling(monkeypatch, lambda: place.rename(moved))
-        with pytest.raises(
-            LostResultsError, match=r"out' was moved or removed while a run was writing it: move it back"
-        ):
+        words = r"out' was moved or removed while a run was writing it: move it back"
+        with self.spoiling(lambda: place.rename(moved)), pytest.raises(LostResultsError, match=words):
             run(output=place)
         assert not place.exists()
         assert json.loads((moved / "run.json").read_text())["finished"] is False
-        monkeypatch.undo()
-        monkeypatch.setattr(plan, "PART_RECORDS", PART)
         moved.rename(place)
         assert run(output=place, resume=True).run["n_resumed"] == 2 * PART
         check_whole(place, made)
@@ -234,9 +255,10 @@ class TestMissing:
     def test_the_folder_of_files_is_renamed_meanwhile(self, tmp_path, monkeypatch):
         folder_scene.write_files(tmp_path / "year", folder_scene.make_series(), 2)
         folder_scene.write_noise(tmp_path / "noise.nc")
-        self.spoiling(monkeypatch, lambda: (tmp_path / "out").rename(tmp_path / "moved"))
         monkeypatch.setattr(plan, "PART_RECORDS", 8)
-        with pytest.raises(LostResultsError, match="was moved or removed while a run was writing it"):
+        move = partial((tmp_path / "out").rename, tmp_path / "moved")
+        words = "was moved or removed while a run was writing it"
+        with self.spoiling(move), pytest.raises(LostResultsError, match=words):
             folder_scene.run(tmp_path / "year", tmp_path / "out", tmp_path / "noise.nc")
 
 
@@ -361,7 +383,7 @@ class TestKilled:
         "numbers",
         [[0, 2, 13, 34, 40, 42], pytest.param([1, 3, 5, 8, 14, 21, 28, 36, 38, 41], marks=pytest.mark.long)],
     )
-    def test_at_any_step_of_writing(self, made, tmp_path, numbers):
+    def test_at_any_step_of_writing(self, made_with_groups, tmp_path, numbers):
         codes = killed(tmp_path / "out", *numbers)
         assert codes.count(9) >= len(numbers) - 2
         for number in numbers:
@@ -370,10 +392,10 @@ class TestKilled:
                 with pytest.raises(InputError, match="has not ended"):
                     open_fit(place)
             run(output=place, resume=True)
-            check_whole(place, made)
+            check_whole(place, made_with_groups)
 
     @pytest.mark.parametrize("numbers", [[1, 33], pytest.param([4, 17, 39], marks=pytest.mark.long)])
-    def test_while_an_older_result_is_replaced(self, made, tmp_path, numbers):
+    def test_while_an_older_result_is_replaced(self, made_with_groups, tmp_path, numbers):
         older = run(output=tmp_path / "older", seed=4).summary()
         for number in numbers:
             shutil.copytree(tmp_path / "older", tmp_path / f"out-{number}")
@@ -382,7 +404,7 @@ class TestKilled:
             place = tmp_path / f"out-{number}"
             pd.testing.assert_frame_equal(open_fit(place).summary(), older, check_exact=True)
             run(output=place, overwrite=True)
-            check_whole(place, made)
+            check_whole(place, made_with_groups)
 
 
 def test_signals_are_interrupts_too(made, tmp_path, monkeypatch):

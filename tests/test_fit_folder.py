@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import ClassVar
@@ -21,8 +20,7 @@ import pytest
 from fit_scene import EMPTY_PART, N_RECORD, NOISE, OPTIONS, PART, SCAN, fit_to, make_records
 
 from bayes_rs import STRESSES, InputError, MannTurbulence, Nuisances, fit, load_scan, open_fit
-from bayes_rs.campaign import sampling
-from bayes_rs.fits import campaign_job, fit_writing, plan
+from bayes_rs.fits import fit_writing, plan
 from bayes_rs.fits import parts as fit_parts
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.tables import part_names
@@ -570,11 +568,8 @@ class TestDask:
         found = fit_to(records, SCAN, tmp_path / "out", client=client, **OPTIONS)
         same_folders(Path(found.place), plain)
 
-    def test_a_campaign_is_the_same_on_a_cluster(self, records, client, monkeypatch, tmp_path):
-        monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))  # what is tested is the way of the numbers
-        monkeypatch.setattr(
-            campaign_job, "sample_campaign", partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
-        )
+    @pytest.mark.usefixtures("short_campaign")
+    def test_a_campaign_is_the_same_on_a_cluster(self, records, client, tmp_path):
         more = {**OPTIONS, "campaign": "on"}
         found = [
             fit_to(records, SCAN, tmp_path / name, **more, **way)

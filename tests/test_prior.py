@@ -7,7 +7,9 @@ from scipy import stats
 from bayes_rs import InputError, NotPositiveDefiniteError
 from bayes_rs.campaign import prior_from_stresses
 from bayes_rs.geometry.stress import is_realizable
+from bayes_rs.intervals import EQUAL_TAILED, HIGHEST_DENSITY, interval_of
 from bayes_rs.models import TURBULENCES
+from bayes_rs.priors.interface import _WIDTH_DRAWS, _WIDTH_SEED
 from bayes_rs.priors.mann_family import family_shape
 from bayes_rs.priors.registry import (
     PRIORS,
@@ -193,6 +195,16 @@ class TestEveryPrior:
     def test_probability_of_an_interval_is_checked(self, prior):
         with pytest.raises(InputError, match=r"Invalid prob 1.0: it must be between 0 and 1"):
             prior.interval_widths(1.0)
+
+
+@pytest.mark.parametrize("prior", [WeakPrior(), WeakPrior(z_uw=0.1), RatioPrior(sd_vw=0.5)], ids=repr)
+def test_widths_that_are_kept_are_those_of_the_draws_and_of_each_prior_its_own(prior):
+    for _ in range(2):
+        for prob, kind in ((0.5, EQUAL_TAILED), (0.5, HIGHEST_DENSITY), (0.8, EQUAL_TAILED)):
+            low, high = interval_of(prior.draw(_WIDTH_DRAWS, _WIDTH_SEED).T, prob, kind)
+            width = prior.interval_widths(prob, kind)
+            np.testing.assert_array_equal(width, high - low)
+            width[:] = 0.0  # the caller's own
 
 
 class _Forgetful(FlatPrior):

@@ -38,6 +38,25 @@ def table(series):
     return rays_of(series, SIX)
 
 
+@pytest.fixture(scope="module")
+def right(series):
+    """The records of the series."""
+    return make_records(series, SIX)
+
+
+ORDERS = {
+    "by name": None,
+    "turned": list(range(N_FILE))[::-1],
+    "mixed": [7 * i % N_FILE for i in range(N_FILE)],
+}
+
+
+@pytest.fixture(scope="module", params=ORDERS)
+def ordered(request, table, tmp_path_factory):
+    """A folder of the files, named in an order."""
+    return write(tmp_path_factory.mktemp("ordered"), table, order=ORDERS[request.param])
+
+
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
     monkeypatch.setattr(ahead, "_FEWEST", 4)
@@ -72,20 +91,11 @@ class TestTheSame:
         with pytest.raises(InputError, match="Invalid workers 0"):
             read(tmp_path, SIX, workers=0)
 
-    @pytest.mark.parametrize("order", ["by name", "turned", "mixed"])
     @pytest.mark.parametrize("workers", [1, 2])
-    def test_records_in_a_folder(self, tmp_path, table, series, monkeypatch, order, workers):
+    def test_records_in_a_folder(self, tmp_path, ordered, right, monkeypatch, workers):
         monkeypatch.setattr(record_store, "_LOOK_AHEAD", 4)
         monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
-        places = {
-            "by name": None,
-            "turned": list(range(N_FILE))[::-1],
-            "mixed": [7 * i % N_FILE for i in range(N_FILE)],
-        }
-        (tmp_path / "files").mkdir()
-        write(tmp_path / "files", table, order=places[order])
-        made = stored(tmp_path / "out", tmp_path / "files", workers=workers).records
-        right = make_records(series, SIX)
+        made = stored(tmp_path / "out", ordered, workers=workers).records
         for name in ("variance", "mean", "wind_speed", "yaw"):
             np.testing.assert_allclose(made[name], right[name], rtol=1e-12, atol=1e-13)
         np.testing.assert_array_equal(made["count"], right["count"])

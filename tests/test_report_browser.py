@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from contextlib import contextmanager
 from decimal import Decimal
 from pathlib import Path
 
@@ -80,8 +81,8 @@ def with_turbines(folder):
     return folder
 
 
-@pytest.fixture
-def open_page(browser, files):
+@contextmanager
+def opening(browser, files):
     """Give a function that opens a page; at the end, nothing may have been said or asked for on the way."""
     said, asked, contexts = [], [], []
 
@@ -103,6 +104,19 @@ def open_page(browser, files):
     assert len(asked) >= len(contexts)  # the pages themselves: it would have been seen
 
 
+@pytest.fixture
+def open_page(browser, files):
+    with opening(browser, files) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="class")
+def page(browser, files, name):
+    """One page for the tests of a class."""
+    with opening(browser, files) as opened:
+        yield opened(name)
+
+
 def paths(page, where="main"):
     return page.eval_on_selector_all(f"{where} svg path", "paths => paths.map(path => path.getAttribute('d'))")
 
@@ -114,10 +128,9 @@ def corner_drawing(page):
 ALL = ("full", "one", "flagged", "untimed", "evil", "tables", "draws", "gaps", "compared")
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", ALL, scope="class")
 class TestEveryPage:
-    def test_everything_is_drawn_at_finite_places(self, open_page, name):
-        page = open_page(name)
+    def test_everything_is_drawn_at_finite_places(self, page, name):
         drawn = paths(page)
         assert len(drawn) > 20 or name == "flagged"
         for d in drawn:
@@ -125,20 +138,22 @@ class TestEveryPage:
         content = page.eval_on_selector_all("main svg", "all => all.map(one => one.outerHTML).join('')")
         assert not re.search(r"NaN|undefined|Infinity|null", content)
 
-    def test_every_picture_has_a_name_and_a_table(self, open_page, name):
-        page = open_page(name)
-        pictures = page.locator("main svg").all()
-        for picture in pictures:
-            assert picture.get_attribute("role") == "img"
-            named = picture.get_attribute("aria-labelledby")
-            assert page.locator(f"#{named}").text_content().strip()
-        for figure in page.locator("figure").all():
-            assert figure.locator("svg").count() >= 1
-            assert figure.locator("table").count() >= 1
-            assert figure.locator("figcaption").text_content().strip()
+    def test_every_picture_has_a_name_and_a_table(self, page):
+        pictures = page.eval_on_selector_all(
+            "main svg",
+            "all => all.map(one => [one.getAttribute('role'),"
+            " document.getElementById(one.getAttribute('aria-labelledby'))?.textContent.trim()])",
+        )
+        assert all(role == "img" and named for role, named in pictures), pictures
+        figures = page.eval_on_selector_all(
+            "figure",
+            "all => all.map(one => [one.querySelectorAll('svg').length, one.querySelectorAll('table').length,"
+            " one.querySelector('figcaption')?.textContent.trim()])",
+        )
+        assert figures
+        assert all(n_svg >= 1 and n_table >= 1 and caption for n_svg, n_table, caption in figures), figures
 
-    def test_the_page_is_never_wider_than_the_screen(self, open_page, name):
-        page = open_page(name, width=320)
+    def test_the_page_is_never_wider_than_the_screen(self, page):
         page.eval_on_selector_all("details", "all => all.forEach(one => { one.open = true; })")
         for width in (320, 360, 768):
             page.set_viewport_size({"width": width, "height": 800})

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import distributed
 import numpy as np
@@ -14,8 +13,7 @@ from scenes import draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
 from bayes_rs import FitOptions, MannTurbulence, Noise, Nuisances, Settings
-from bayes_rs.campaign import sampling
-from bayes_rs.fits import campaign_job, plan
+from bayes_rs.fits import plan
 from bayes_rs.fits.groups import GROUPS
 from bayes_rs.fits.settings import option_places
 from bayes_rs.likelihoods.log_normal import LIKELIHOODS
@@ -25,7 +23,7 @@ from bayes_rs.priors import WeakPrior
 from bayes_rs.records.beam_correlation import correlated_beams
 from bayes_rs.result_folder import ResultFolder
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("short_campaign")]
 SMALL = {"seed": 3, "target_ess": 100}
 ONLY_IN_FOLDERS = {"finished", "key", "key_parts", "seconds", "n_resumed", "n_fitted", "flags", "words"}
 """What `run.json` holds beside the run of a fit in memory."""
@@ -54,14 +52,6 @@ def two_months(records):
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     monkeypatch.setattr(plan, "PART_RECORDS", 3)
-
-
-@pytest.fixture(autouse=True)
-def few_sweeps(monkeypatch):
-    """A campaign is sampled shortly: what is tested is the way of its numbers."""
-    monkeypatch.setattr(sampling, "_BURN_IN", (10, 10))
-    few = partial(campaign_job.sample_campaign, target_ess=10, most_sweeps=20)
-    monkeypatch.setattr(campaign_job, "sample_campaign", few)
 
 
 def check_same(one, other):
@@ -116,7 +106,8 @@ class TestMemoryAndFolder:
         records = change(records)
         if options.get("target") == "sonic":
             noise = theory_noise(scan, FLOW, wind_speed=10.0, sonic=True)
-        one = brs.fit(records, scan, noise=noise, **{**SMALL, **options})
+        in_one = {"workers": 1} if name == "campaign of many beams" else {}  # several in memory: "two processes"
+        one = brs.fit(records, scan, noise=noise, **{**SMALL, **options, **in_one})
         made = brs.fit(records, scan, noise=noise, output=tmp_path / "out", **{**SMALL, **options})
         for other in (made, brs.open_fit(tmp_path / "out")):
             check_same(one, other)
@@ -385,6 +376,7 @@ def check_arrives(scene, base_fits, name, base, changed, tmp_path, kind="plain")
     return run["settings"]["fit"]
 
 
+@pytest.mark.usefixtures("no_groups_file")
 class TestEveryOptionArrives:
     @pytest.fixture(autouse=True)
     def another_likelihood(self, monkeypatch):

@@ -286,7 +286,7 @@ class TestWork:
 
         monkeypatch.setattr(making, "sort_samples", looked_at)
         run(series, noise=noise_of_one_length, memory=1)
-        assert calls["draw"] == 2  # of the prior: its draws, and those of its widths, for all records together
+        assert calls["draw"] == 1  # of the prior, for all records together
         # every sample once; one of the next record with each; and once what an empty record is
         assert sum(size for size in calls["sorted"] if size > 2) == series.sizes["sample"]
         assert len([size for size in calls["sorted"] if size <= 2]) <= N_RECORD + 1

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, as_generator, check_count
+from bayes_rs._validation import FloatArray, as_generator, check_choice, check_count, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.html_parts import bars, card
-from bayes_rs.intervals import EQUAL_TAILED, interval_of
+from bayes_rs.intervals import EQUAL_TAILED, INTERVALS, interval_of
 from bayes_rs.sizes import check_size
 
 N_COORDINATE = 6
@@ -129,18 +130,35 @@ class LogRatioPrior(NormalPrior):
 
     def stress(self, coordinate: FloatArray) -> FloatArray:
         """Map coordinates to stresses."""
-        inner = self.spread * coordinate  # keeps the layout in memory: components may come first there
-        inner += self.centre
-        log_uu, rho = inner[..., 0], inner[..., 3:]
-        log_vv, log_ww = inner[..., 1], inner[..., 2]
-        log_vv += log_uu
-        log_ww += log_uu
-        np.tanh(rho, out=rho)
-        return stress_from_correlations(log_uu, log_vv, log_ww, rho, out=np.empty_like(inner))
+        return _stress_of_ratios(coordinate, self.centre, self.spread)
+
+    def interval_widths(self, prob: float = 0.9, interval: str = EQUAL_TAILED) -> FloatArray:
+        """Return the same, found once for each prior: it takes longer than all the rest of a small fit."""
+        check_prob(prob)
+        check_choice(interval, tuple(INTERVALS), what="interval")
+        return np.array(_kept_widths(tuple(self.centre), tuple(self.spread), float(prob), interval))
 
     def coordinate(self, stress: FloatArray) -> FloatArray:
         """Return the coordinates, shape (..., 6), of positive definite stresses, shape (..., 6), m² s⁻²."""
         return np.asarray((log_ratios(stress) - self.centre) / self.spread)
+
+
+def _stress_of_ratios(coordinate: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
+    inner = spread * coordinate  # keeps the layout in memory: components may come first there
+    inner += centre
+    log_uu, rho = inner[..., 0], inner[..., 3:]
+    log_vv, log_ww = inner[..., 1], inner[..., 2]
+    log_vv += log_uu
+    log_ww += log_uu
+    np.tanh(rho, out=rho)
+    return stress_from_correlations(log_uu, log_vv, log_ww, rho, out=np.empty_like(inner))
+
+
+@lru_cache(maxsize=64)
+def _kept_widths(centre: tuple[float, ...], spread: tuple[float, ...], prob: float, interval: str) -> tuple[float, ...]:
+    coordinate = as_generator(_WIDTH_SEED).standard_normal((_WIDTH_DRAWS, N_COORDINATE))
+    low, high = interval_of(_stress_of_ratios(coordinate, np.array(centre), np.array(spread)).T, prob, interval)
+    return tuple((high - low).tolist())
 
 
 def log_ratios(stress: FloatArray) -> FloatArray:

@@ -8,13 +8,43 @@ import sys
 from functools import partial
 from pathlib import Path
 
+from fit_scene import NOISE, make_records
+
 from bayes_rs import demo_file
+from bayes_rs.output import write_netcdf
 
 ROOT = Path(__file__).parents[2]
 SERIES = str(demo_file("6-beam"))
 FIT = ("fit", SERIES, "--scan", "6-beam", "--sampler", "direct", "--ess", "100")
 RECORDS = ("records", SERIES, "--scan", "6-beam")
 CALIBRATE = ("calibrate", "2-beam", "--wind-speed", "9.7", "--duration", "60")
+OF_RECORDS = (
+    "--scan",
+    "6-beam",
+    "--noise",
+    "noise.nc",
+    "--sampler",
+    "direct",
+    "--ess",
+    "100",
+    "--seed",
+    "3",
+    "--resume",
+)
+"""Of a fit of what `write_scene` writes."""
+WITHOUT_PICTURES = """
+from bayes_rs import __main__ as command
+from bayes_rs.cli import fit_commands
+fit_commands.draw_pictures = lambda *_: None
+command.main()
+"""
+"""The command, which draws nothing when the fit has ended."""
+
+
+def write_scene(folder):
+    """Write the records of the small fit, and their noise."""
+    write_netcdf(make_records(20), folder / "records.nc")
+    NOISE.save(folder / "noise.nc")
 
 
 def _full_disk(size):

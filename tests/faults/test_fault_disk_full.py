@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from fault_scenes import CALIBRATE, FIT, RECORDS, complaint, run
+from fault_scenes import CALIBRATE, FIT, RECORDS, WITHOUT_PICTURES, complaint, run
 from scenes import TURBULENCE, draw_variances, plain_noise, records_of
 
 import bayes_rs as brs
@@ -67,14 +67,16 @@ class TestCommands:
         assert not list((tmp_path / "cache").glob("**/*.nc"))  # nor half of a cached noise
 
     def test_a_folder_of_results(self, tmp_path):
-        code, errors = run(*FIT, "-o", "out", folder=tmp_path, size=400_000)  # the part with the draws is larger
+        code, errors = run(
+            *FIT, "-o", "out", folder=tmp_path, size=400_000, own=WITHOUT_PICTURES
+        )  # the part with the draws is larger
         assert code == 2, errors
         reason, note = complaint(errors)
         assert "File too large" in reason
         assert "are finished and kept in 'out': the same call with resume goes on from there" in note
         with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
             brs.write_report(tmp_path / "out")
-        code, errors = run(*FIT, "-o", "out", "--resume", folder=tmp_path)
+        code, errors = run(*FIT, "-o", "out", "--resume", folder=tmp_path, own=WITHOUT_PICTURES)
         assert code == 0, errors
         assert brs.open_fit(tmp_path / "out").n_fitted == 6
 

@@ -11,13 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from fault_scenes import CALIBRATE, FIT, RECORDS, run, start
-from fit_scene import NOISE, make_records
+from fault_scenes import CALIBRATE, FIT, OF_RECORDS, RECORDS, WITHOUT_PICTURES, run, start, write_scene
 
 import bayes_rs as brs
 from bayes_rs import InputError
 from bayes_rs.noise.file import load_noise
-from bayes_rs.output import output_folder, write_netcdf, write_run
+from bayes_rs.output import output_folder, write_run
 from bayes_rs.result_folder import open_result_folder
 
 pytestmark = pytest.mark.slow
@@ -32,28 +31,8 @@ signal.signal(signal.SIGINT, before)
 command.main()
 """
 """The command, with parts so small that a small fit has many moments. Before it has begun, Python itself is loaded."""
-WITHOUT_PICTURES = """
-from bayes_rs import __main__ as command
-from bayes_rs.cli import fit_commands
-fit_commands.draw_pictures = lambda *_: None
-command.main()
-"""
-"""The command, which draws nothing when the fit has ended."""
 N_FILE = 16
 """Files of the parts of that fit."""
-OF_RECORDS = (
-    "--scan",
-    "6-beam",
-    "--noise",
-    "noise.nc",
-    "--sampler",
-    "direct",
-    "--ess",
-    "100",
-    "--seed",
-    "3",
-    "--resume",
-)
 LONG = ("fit", "records.nc", *OF_RECORDS, "--draws", "float32")
 KILLS = [("parent", "KILL"), ("parent", "INT"), ("workers", "KILL"), ("all", "TERM")]
 MORE_KILLS = [(who, name) for who in ("parent", "workers", "all") for name in ("KILL", "TERM", "HUP", "INT")]
@@ -174,12 +153,6 @@ class TestFiles:
         good.write_text("time,beam,radial_velocity\n2020-01-01T00:00:00,0,1.0\n2020-01-01T00:00:01,1,1.0\n")
         series = brs.read(tmp_path, brs.load_scan("2-beam"))
         assert series.sizes["sample"] == 2
-
-
-def write_scene(folder):
-    """Write the records of the small fit, and their noise."""
-    write_netcdf(make_records(20), folder / "records.nc")
-    NOISE.save(folder / "noise.nc")
 
 
 class TestFolders:

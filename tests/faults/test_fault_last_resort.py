@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from fault_scenes import FIT, start
+from fault_scenes import OF_RECORDS, start, write_scene
 
 from bayes_rs import InputError, LostResultsError, WorkerError, cli
 from bayes_rs.cli import scan_commands
@@ -108,7 +108,8 @@ class TestEnds:
     )
     def test_by_a_signal(self, tmp_path, number, word):
         """What is finished is kept, and named."""
-        process = start(*FIT, "-o", "out", folder=tmp_path)
+        write_scene(tmp_path)
+        process = start("fit", "records.nc", *OF_RECORDS, "-o", "out", folder=tmp_path)
         while process.poll() is None and not (tmp_path / "out" / "records.nc").exists():
             time.sleep(0.01)
         process.send_signal(number)
