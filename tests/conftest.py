@@ -47,18 +47,18 @@ def dbs_folder() -> Path:
 
 
 @pytest.fixture
-def no_pictures(monkeypatch):
-    """Let the command `fit` draw no pictures, which take half of the time of a small fit."""
-    monkeypatch.setattr("bayes_rs.cli.fit_commands.draw_pictures", lambda *_args, **_options: None)
-
-
-@pytest.fixture
 def no_groups_file(monkeypatch):
     """Let fits in a folder write no `posterior.nc`, which takes half of the time of a small one.
 
     It holds what the tables hold, once more; `test_road.py` compares it with them.
     """
     monkeypatch.setattr("bayes_rs.fits.fit_writing.MOST_KEPT", 0)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch, no_groups_file):  # noqa: ARG001 - nor that
+    """Let the command `fit` draw no pictures, which take half of the time of a small fit, and write no groups."""
+    monkeypatch.setattr("bayes_rs.cli.fit_commands.draw_pictures", lambda *_args, **_options: None)
 
 
 @pytest.fixture

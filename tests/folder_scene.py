@@ -1,5 +1,7 @@
 """A folder of a few files of radial velocities for tests, and for the processes that tests interrupt and kill."""
 
+import importlib
+import os
 import signal
 import sys
 from pathlib import Path
@@ -68,8 +70,16 @@ def stop_at_write(number, sent):
 
 
 if __name__ == "__main__":
+    for name in ("distributed", "h5netcdf", "pyarrow.dataset", "scipy.stats"):  # here, not in each child
+        importlib.import_module(name)
     record_store.SAVE_SECONDS = 0.0
-    files, output, noise, number, sent = sys.argv[1:6]
+    files, noise, *stops = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
-    stop_at_write(int(number), getattr(signal, sent))
-    run(files, output, noise, resume=True)
+    for stop in stops:
+        output, number, sent = stop.split(":")
+        child = os.fork()  # before any thread is started: the fits run in the children only
+        if child == 0:
+            stop_at_write(int(number), getattr(signal, sent))
+            run(files, output, noise, resume=True)
+            os._exit(0)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)  # noqa: T201 - for who started it

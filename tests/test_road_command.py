@@ -66,7 +66,7 @@ def _likelihood_of_our_own(monkeypatch):
 
 
 @pytest.fixture
-def bayes_rs(monkeypatch, capsys, no_pictures, no_groups_file):  # noqa: ARG001 - there are none
+def bayes_rs(monkeypatch, capsys, no_pictures):  # noqa: ARG001 - there are none
     """Run a command line; return its exit code, and the lines of stdout and stderr."""
     from bayes_rs import cli  # noqa: PLC0415 - beside its use
 

@@ -192,7 +192,7 @@ def join_samples(parts: Sequence[Samples], scan: Scan, *, report: FilesReport | 
         attrs={
             "scan": scan.name,
             "scan_key": scan.key,
-            "source_files": json.dumps([part.file.name for part in parts]),
+            "source_files": json.dumps([file.name for file in dict.fromkeys(part.file for part in parts)]),
             "read_report": json.dumps(counted),
         },
     )

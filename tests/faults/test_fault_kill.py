@@ -15,6 +15,8 @@ from fault_scenes import CALIBRATE, FIT, OF_RECORDS, RECORDS, WITHOUT_PICTURES, 
 
 import bayes_rs as brs
 from bayes_rs import InputError
+from bayes_rs.cli.group import commands
+from bayes_rs.fits import plan
 from bayes_rs.noise.file import load_noise
 from bayes_rs.output import output_folder, write_run
 from bayes_rs.result_folder import open_result_folder
@@ -25,7 +27,9 @@ import signal
 from bayes_rs import __main__ as command
 before = signal.signal(signal.SIGINT, command._stop)
 open("begun", "w").close()
+from bayes_rs.cli import fit_commands
 from bayes_rs.fits import plan
+fit_commands.draw_pictures = lambda *_: None
 plan.PART_RECORDS = 5
 signal.signal(signal.SIGINT, before)
 command.main()
@@ -155,8 +159,20 @@ class TestFiles:
         assert series.sizes["sample"] == 2
 
 
+@pytest.fixture
+def fit_here(tmp_path, monkeypatch):
+    """Fit in this process what nobody stops: to start another takes longer than the fit."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("bayes_rs.cli.fit_commands.draw_pictures", lambda *_: None)
+
+    def fit(*words):
+        assert not commands.main(list(words), standalone_mode=False)
+
+    return fit
+
+
 class TestFolders:
-    def test_a_fit_that_has_not_ended_is_none_and_goes_on(self, tmp_path):
+    def test_a_fit_that_has_not_ended_is_none_and_goes_on(self, tmp_path, fit_here):
         write_scene(tmp_path)
         fit = ("fit", "records.nc", *OF_RECORDS)
         process = start(*fit, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
@@ -167,7 +183,7 @@ class TestFolders:
         with pytest.raises(InputError, match=r"The fit in '.*out' has not ended: resume it, or wait for its end"):
             brs.write_report(tmp_path / "out")
         for name in ("out", "whole"):
-            assert run(*fit, "-o", name, folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
+            fit_here(*fit, "-o", name)
         one, other = (
             {file.name: file.read_bytes() for file in place.rglob("*") if file.is_file()}
             for place in (tmp_path / "out", tmp_path / "whole")
@@ -177,12 +193,12 @@ class TestFolders:
         assert one.keys() == other.keys()
 
     @pytest.mark.parametrize("kills", [KILLS, pytest.param(TWENTY_KILLS, marks=pytest.mark.long)])
-    def test_any_signal_to_anyone_at_any_moment(self, tmp_path, kills):
+    def test_any_signal_to_anyone_at_any_moment(self, tmp_path, kills, fit_here, monkeypatch):
         """What is finished is byte for byte that of a run that nobody stopped; what is not is never taken for it."""
         write_scene(tmp_path)
         fit = ("fit", "records.nc", *OF_RECORDS)
-        assert run(*fit, "-o", "whole", folder=tmp_path, own=SMALL_PARTS)[0] == 0
-        (tmp_path / "begun").unlink()
+        monkeypatch.setattr(plan, "PART_RECORDS", 5)
+        fit_here(*fit, "-o", "whole")
         whole = files_of(tmp_path / "whole")
         rng = np.random.default_rng(len(kills))
         out = tmp_path / "out"
@@ -204,19 +220,18 @@ class TestFolders:
                 assert opened.damage(file) in (None, "is missing")
                 if file in whole and opened.damage(file) is None:
                     assert (out / file).read_bytes() == whole[file], file
-        code, errors = run(*fit, "-o", "out", folder=tmp_path, own=SMALL_PARTS)
-        assert code == 0, errors
+        fit_here(*fit, "-o", "out")
         assert files_of(out) == whole
 
     @pytest.mark.parametrize("n_kill", [1, pytest.param(20, marks=pytest.mark.long)])
-    def test_a_long_fit_goes_on(self, tmp_path, n_kill):
+    def test_a_long_fit_goes_on(self, tmp_path, n_kill, fit_here):
         write_scene(tmp_path)
-        assert run(*LONG, "-o", "whole", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
+        fit_here(*LONG, "-o", "whole")
         for number, seconds in enumerate(moments(n_kill, 5.0, seed=2)):
             process = start(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)
             time.sleep(seconds)
             send(process, "parent", ("KILL", "TERM", "HUP", "INT")[number % 4])
-        assert run(*LONG, "-o", "out", folder=tmp_path, own=WITHOUT_PICTURES)[0] == 0
+        fit_here(*LONG, "-o", "out")
         for name in ("summary", "posterior", "draws"):
             one, other = (pd.read_parquet(tmp_path / folder / name) for folder in ("whole", "out"))
             pd.testing.assert_frame_equal(one, other)
