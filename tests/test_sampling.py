@@ -122,7 +122,7 @@ def plain_emcee(monkeypatch):
 
 
 @pytest.mark.usefixtures("plain_emcee")
-@pytest.mark.parametrize("name", ["staring", "6-beam"])
+@pytest.mark.parametrize("name", [pytest.param("staring", marks=pytest.mark.long), "6-beam"])
 def test_plain_emcee_gives_the_posterior_too(name):
     prior = WeakPrior(log_sd_uu=0.5)
     check_sampler(
@@ -221,7 +221,9 @@ def test_the_registry_takes_a_sampler_of_your_own(monkeypatch):
 
 
 @pytest.mark.usefixtures("plain_emcee")
-def test_plain_emcee_repeats_itself():
+def test_plain_emcee_repeats_itself(monkeypatch):
+    monkeypatch.setattr("plain_emcee.N_BURN_IN", 20)
+    monkeypatch.setattr("plain_emcee._STRIDE", 4)
     prior = WeakPrior()
     likelihood = build(load_scan("staring"), 1, prior, 8)
     short = {"target_ess": 50, "max_extension": 0}
