@@ -6,7 +6,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# byte code is kept, also where the environment says otherwise: the hundreds of processes of the tests compile nothing
+# byte code is kept, also where the environment says otherwise: each process of the tests would compile the package anew
 ENV := PYTHONNOUSERSITE=1 PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 

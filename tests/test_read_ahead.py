@@ -51,7 +51,7 @@ ORDERS = {
 }
 
 
-@pytest.fixture(scope="module", params=ORDERS)
+@pytest.fixture(scope="module")
 def ordered(request, table, tmp_path_factory):
     """A folder of the files, named in an order."""
     return write(tmp_path_factory.mktemp("ordered"), table, order=ORDERS[request.param])
@@ -91,7 +91,17 @@ class TestTheSame:
         with pytest.raises(InputError, match="Invalid workers 0"):
             read(tmp_path, SIX, workers=0)
 
-    @pytest.mark.parametrize("workers", [1, 2])
+    @pytest.mark.parametrize(
+        ("ordered", "workers"),
+        [
+            ("by name", 1),
+            ("turned", 1),
+            ("mixed", 1),
+            ("mixed", 2),
+            *(pytest.param(name, 2, marks=pytest.mark.long) for name in ("by name", "turned")),
+        ],
+        indirect=["ordered"],
+    )
     def test_records_in_a_folder(self, tmp_path, ordered, right, monkeypatch, workers):
         monkeypatch.setattr(record_store, "_LOOK_AHEAD", 4)
         monkeypatch.setattr(record_store, "SAVE_SECONDS", 0.0)
