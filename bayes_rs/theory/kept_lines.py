@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import Probe
 from bayes_rs.theory.pairs import fingerprints
-from bayes_rs.theory.probed import CORE, LAG_STEP, by_rules, grid_core
+from bayes_rs.theory.probed import CORE, LAG_STEP, Rules, by_rules, grid_core
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stretched
 from bayes_rs.turbulence.two_point import radial_covariance
 
 _COARSE = 1e-3  # tolerance below which points are not taken from lines
 _POINTS_LAG_STEP = 0.4  # of points: that of the table of the turbulence, which then need not be interpolated
-_REACH, _REACH_STEP = 14.0, 3.2  # of the grid, in asinh(x/core), at least, and by steps: most wind speeds have the same
+_REACH, _REACH_OF_POINTS = 10.4, 14.0  # of the grid, in asinh(x/core), at least ...
+_REACH_STEP = 3.2  # ... and more by such steps: most wind speeds have the same
 _DECIMALS = 9  # of metres and of unit vectors: lines that agree to this are one
 _MOST_KEPT = 4000  # lines of one turbulence and grid
 _MANY_POINTS = 5000  # pairs of points: fewer are not worth keeping their lines
@@ -53,7 +54,7 @@ def kept_covariance(
     lengths: FloatArray,
     shortest: float,
     tolerance: float = 1e-4,
-    coarse: bool = False,
+    rules: Rules = "full",
 ) -> FloatArray:
     """Return what `probed_covariance` does, from lines along the wind that are kept for other wind speeds.
 
@@ -63,8 +64,8 @@ def kept_covariance(
         As for `probed_covariance`.
     shortest : float
         The shortest length above zero of all beams of the scan, m; 0 if all are points.
-    coarse : bool
-        By coarse rules, as for `by_rules`.
+    rules : str
+        As for `by_rules`.
 
     Returns
     -------
@@ -83,10 +84,10 @@ def kept_covariance(
         return _of_points(first, second, across, along, turbulence, tolerance)
     core = grid_core(shortest, turbulence)
     step = LAG_STEP
-    half = _half(along, core, step)
+    half = _half(along, core, step, _REACH)
     place = np.arcsinh(along / core) / step + half
     flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
-    kept = _lines(flow, probe, tolerance, core, half, coarse)
+    kept = _lines(flow, probe, tolerance, core, half, rules)
     kinds, backward = _kinds_of_lines(first, second, across, lengths)
     place = np.where(backward[:, np.newaxis], 2.0 * half - place, place)
     names = [row.tobytes() for row in kinds]
@@ -105,7 +106,7 @@ def kept_covariance(
             kinds[new, 8:],
             tolerance,
             shortest=shortest,
-            coarse=coarse,
+            rules=rules,
         )
         calculated = dict(zip(missing, lines, strict=True))
         if len(new) <= _MOST_KEPT:
@@ -116,11 +117,11 @@ def kept_covariance(
     return interpolate_rows(np.array([known[name] for name in names]), place)
 
 
-def _half(along: FloatArray, core: float, step: float) -> int:
+def _half(along: FloatArray, core: float, step: float, least: float) -> int:
     """Return the number of separations of the grid on one side."""
     reach = float(np.arcsinh(np.max(np.abs(along)) / core)) + step * (STENCIL // 2)
-    beyond = max(int(np.ceil((reach - _REACH) / _REACH_STEP)), 0)
-    return int(np.ceil((_REACH + beyond * _REACH_STEP) / step))
+    beyond = max(int(np.ceil((reach - least) / _REACH_STEP)), 0)
+    return int(np.ceil((least + beyond * _REACH_STEP) / step))
 
 
 def _kinds_of_lines(
@@ -175,7 +176,7 @@ def _of_points(
     if kept is None or len(first) < _MANY_POINTS or tolerance < _COARSE:
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
     core, step = CORE * turbulence.length_scale, _POINTS_LAG_STEP
-    half = _half(along, core, step)
+    half = _half(along, core, step, _REACH_OF_POINTS)
     flow = (turbulence, tolerance, half)
     which = hashlib.blake2b(repr(flow).encode())
     for part in (first, second, across):
@@ -215,7 +216,7 @@ def _lines_of_points(
 
 @lru_cache(maxsize=64)
 def _lines(
-    _flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int, _coarse: bool
+    _flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int, _rules: Rules
 ) -> dict[bytes, Any]:
     """Return the kept lines of one turbulence and grid, by what the pairs of beams are."""
     return {}
