@@ -24,8 +24,8 @@ from bayes_rs.turbulence.two_point import radial_covariance
 
 _COARSE = 1e-3  # tolerance below which points are not taken from lines
 _POINTS_LAG_STEP = 0.4  # of points: that of the table of the turbulence, which then need not be interpolated
-_REACH, _REACH_OF_POINTS = 10.4, 14.0  # of the grid, in asinh(x/core), at least ...
-_REACH_STEP = 3.2  # ... and more by such steps: most wind speeds have the same
+_REACH = 2e4  # m: the wind's way in ten minutes at 33 m/s, which every grid reaches to, ...
+_REACH_STEP = 3.2  # ... and farther by such steps of asinh(x/core): nearly all wind speeds have the same
 _DECIMALS = 9  # of metres and of unit vectors: lines that agree to this are one
 _MOST_KEPT = 4000  # lines of one turbulence and grid
 _MANY_POINTS = 5000  # pairs of points: fewer are not worth keeping their lines
@@ -84,7 +84,7 @@ def kept_covariance(
         return _of_points(first, second, across, along, turbulence, tolerance)
     core = grid_core(shortest, turbulence)
     step = LAG_STEP
-    half = _half(along, core, step, _REACH)
+    half = _half(along, core, step)
     place = np.arcsinh(along / core) / step + half
     flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
     kept = _lines(flow, probe, tolerance, core, half, rules)
@@ -117,11 +117,11 @@ def kept_covariance(
     return interpolate_rows(np.array([known[name] for name in names]), place)
 
 
-def _half(along: FloatArray, core: float, step: float, least: float) -> int:
+def _half(along: FloatArray, core: float, step: float) -> int:
     """Return the number of separations of the grid on one side."""
-    reach = float(np.arcsinh(np.max(np.abs(along)) / core)) + step * (STENCIL // 2)
-    beyond = max(int(np.ceil((reach - least) / _REACH_STEP)), 0)
-    return int(np.ceil((least + beyond * _REACH_STEP) / step))
+    least, reach = np.arcsinh(np.array([_REACH, max(_REACH, float(np.max(np.abs(along))))]) / core)
+    beyond = np.ceil((reach - least) / _REACH_STEP) * _REACH_STEP
+    return int(np.ceil((least + beyond) / step)) + STENCIL // 2
 
 
 def _kinds_of_lines(
@@ -176,7 +176,7 @@ def _of_points(
     if kept is None or len(first) < _MANY_POINTS or tolerance < _COARSE:
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
     core, step = CORE * turbulence.length_scale, _POINTS_LAG_STEP
-    half = _half(along, core, step, _REACH_OF_POINTS)
+    half = _half(along, core, step)
     flow = (turbulence, tolerance, half)
     which = hashlib.blake2b(repr(flow).encode())
     for part in (first, second, across):
