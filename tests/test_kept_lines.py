@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_rs.geometry.probe import ContinuousWaveProbe, PulsedProbe
+from bayes_rs.geometry.probe import PROBE_ERROR, ContinuousWaveProbe, PulsedProbe
 from bayes_rs.geometry.scan_file import load_scan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.gaps import gap_noise
@@ -44,8 +44,8 @@ def counted(monkeypatch):
 def state_by_state(monkeypatch, scan, flow, **options):
     """Noise at each wind speed from covariances that are calculated for it alone."""
 
-    def alone(*given, shortest, coarse, **how):
-        assert not coarse
+    def alone(*given, shortest, rules, **how):
+        assert rules == "full"
         del shortest
         return probed_covariance(*given, **how)
 
@@ -193,6 +193,21 @@ class TestKept:
         rows.clear()
         theory_noise("zx-tm", FLOW, wind_speed=9.3, yaw=0.1)
         assert sum(rows) < 30  # of pairs that tell the largest error
+
+    def test_far_nodes_and_separations_between_those_of_a_line_change_little(self, monkeypatch):
+        """Probes twice as long as the eddies: the tails of their weighting reach to thousands of L."""
+        scan, flow = load_scan("zx-300@focus_distance=258.819").select([0, 3, 25]), replace(FLOW, length_scale=20.0)
+        found = []
+        for what, value in ((None, None), ("probed._FARTHEST", np.inf), ("kept_lines.LAG_STEP", 0.1)):
+            if what:
+                monkeypatch.setattr(f"bayes_rs.theory.{what}", value)
+            with many_speeds():
+                found.append(theory_noise(scan, flow, wind_speed=9.0).covariance)
+        plain, farther, finer = found
+        np.testing.assert_allclose(plain, farther, rtol=5e-5)
+        np.testing.assert_allclose(farther, finer, rtol=0.5 * PROBE_ERROR)  # where beams cross, far from their foci
+        assert np.max(np.abs(plain / farther - 1.0)) > 1e-8  # there are such nodes
+        assert np.max(np.abs(farther / finer - 1.0)) > 1e-8
 
     def test_what_is_kept_is_forgotten(self):
         with many_speeds():

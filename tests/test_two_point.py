@@ -221,6 +221,25 @@ class TestRadialCovariance:
         each = radial_covariance(n_a, n_b, across, np.tile(one, (9, 1)), UNIT, tolerance=tolerance)
         np.testing.assert_allclose(same, each, atol=1e-5 if tolerance == 5e-3 else 1e-9)  # single precision, or double
 
+    @pytest.mark.parametrize("n_place", [3, 150])  # below and above what the components are weighted once for
+    @pytest.mark.parametrize("tolerance", [5e-3, 1e-4])
+    def test_many_places_of_a_pair_are_as_many_pairs(self, n_place, tolerance):
+        rng = np.random.default_rng(9)
+        n_a, n_b = rng.normal(size=(2, 11, 3))
+        across = rng.normal(size=(11 * n_place, 2)) * 10.0 ** rng.uniform(-2.0, 2.0, (11 * n_place, 1))
+        along = rng.normal(size=(11 * n_place, 7)) * 10.0
+        found = radial_covariance(n_a, n_b, across, along, UNIT, tolerance=tolerance)
+        each = (np.repeat(of, n_place, axis=0) for of in (n_a, n_b))
+        want = radial_covariance(*each, across, along, UNIT, tolerance=tolerance)
+        np.testing.assert_allclose(found, want, atol=1e-5 if tolerance == 5e-3 else 1e-12)
+        assert np.min(across[:, 0]) < 0.0 < np.max(across[:, 0])
+        assert np.max(np.abs(across)) > 20.0  # where the isotropic part is nothing
+
+    def test_places_that_no_pair_has(self):
+        n = np.ones((2, 3))
+        with pytest.raises(InputError, match=r"across of shape \(3, 2\): give as many places to each of 2 pairs"):
+            radial_covariance(n, n, np.zeros((3, 2)), np.zeros((3, 1)), UNIT)
+
     def test_isotropic_variance(self):
         n = np.array([[0.6, 0.0, 0.8]])
         found = radial_covariance(n, n, [[0.0, 0.0]], [[0.0]], ISOTROPIC)

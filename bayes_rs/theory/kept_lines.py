@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.probe import Probe
 from bayes_rs.theory.pairs import fingerprints
-from bayes_rs.theory.probed import CORE, LAG_STEP, by_rules, grid_core
+from bayes_rs.theory.probed import CORE, LAG_STEP, Rules, by_rules, grid_core
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stretched
 from bayes_rs.turbulence.two_point import radial_covariance
 
 _COARSE = 1e-3  # tolerance below which points are not taken from lines
 _POINTS_LAG_STEP = 0.4  # of points: that of the table of the turbulence, which then need not be interpolated
-_REACH, _REACH_STEP = 14.0, 3.2  # of the grid, in asinh(x/core), at least, and by steps: most wind speeds have the same
+_REACH = 2e4  # m: the wind's way in ten minutes at 33 m/s, which every grid reaches to, ...
+_REACH_STEP = 3.2  # ... and farther by such steps of asinh(x/core): nearly all wind speeds have the same
 _DECIMALS = 9  # of metres and of unit vectors: lines that agree to this are one
 _MOST_KEPT = 4000  # lines of one turbulence and grid
 _MANY_POINTS = 5000  # pairs of points: fewer are not worth keeping their lines
@@ -53,7 +54,7 @@ def kept_covariance(
     lengths: FloatArray,
     shortest: float,
     tolerance: float = 1e-4,
-    coarse: bool = False,
+    rules: Rules = "full",
 ) -> FloatArray:
     """Return what `probed_covariance` does, from lines along the wind that are kept for other wind speeds.
 
@@ -63,8 +64,8 @@ def kept_covariance(
         As for `probed_covariance`.
     shortest : float
         The shortest length above zero of all beams of the scan, m; 0 if all are points.
-    coarse : bool
-        By coarse rules, as for `by_rules`.
+    rules : str
+        As for `by_rules`.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def kept_covariance(
     half = _half(along, core, step)
     place = np.arcsinh(along / core) / step + half
     flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
-    kept = _lines(flow, probe, tolerance, core, half, coarse)
+    kept = _lines(flow, probe, tolerance, core, half, rules)
     kinds, backward = _kinds_of_lines(first, second, across, lengths)
     place = np.where(backward[:, np.newaxis], 2.0 * half - place, place)
     names = [row.tobytes() for row in kinds]
@@ -105,7 +106,7 @@ def kept_covariance(
             kinds[new, 8:],
             tolerance,
             shortest=shortest,
-            coarse=coarse,
+            rules=rules,
         )
         calculated = dict(zip(missing, lines, strict=True))
         if len(new) <= _MOST_KEPT:
@@ -118,9 +119,9 @@ def kept_covariance(
 
 def _half(along: FloatArray, core: float, step: float) -> int:
     """Return the number of separations of the grid on one side."""
-    reach = float(np.arcsinh(np.max(np.abs(along)) / core)) + step * (STENCIL // 2)
-    beyond = max(int(np.ceil((reach - _REACH) / _REACH_STEP)), 0)
-    return int(np.ceil((_REACH + beyond * _REACH_STEP) / step))
+    least, reach = np.arcsinh(np.array([_REACH, max(_REACH, float(np.max(np.abs(along))))]) / core)
+    beyond = np.ceil((reach - least) / _REACH_STEP) * _REACH_STEP
+    return int(np.ceil((least + beyond) / step)) + STENCIL // 2
 
 
 def _kinds_of_lines(
@@ -215,7 +216,7 @@ def _lines_of_points(
 
 @lru_cache(maxsize=64)
 def _lines(
-    _flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int, _coarse: bool
+    _flow: tuple[float, ...], _probe: Probe, _tolerance: float, _core: float, _half: int, _rules: Rules
 ) -> dict[bytes, Any]:
     """Return the kept lines of one turbulence and grid, by what the pairs of beams are."""
     return {}

@@ -210,7 +210,7 @@ def spread_pairs(apart: FloatArray, count: int) -> NDArray[np.int64]:
 
 def _filling(aside: FloatArray) -> NDArray[np.int64]:
     """Return numbers of pairs in an order of which every beginning is evenly spread over the separations."""
-    turn = np.modf(_GOLDEN * np.arange(1, len(aside) + 1))[0]  # the next one falls into the largest gap
+    turn = np.modf(_GOLDEN * np.arange(1, min(len(aside), 4 * _MOST) + 1))[0]  # the next one falls into the largest gap
     found = _nearest_to(np.min(aside) + turn * np.ptp(aside), aside)
     _, first = np.unique(found, return_index=True)
     return found[np.sort(first)]
@@ -222,7 +222,9 @@ def _nearest_to(places: FloatArray, separation: FloatArray) -> NDArray[np.int64]
 
 
 def _without(index: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
-    return index[~np.isin(index, other)]
+    rest = np.ones(max(int(np.max(index, initial=-1)), int(np.max(other, initial=-1))) + 1, dtype=bool)
+    rest[other] = False
+    return index[rest[index]]
 
 
 class _Ratio(NamedTuple):
@@ -283,10 +285,15 @@ class _Smooth:
 
 
 def _matern(one: FloatArray, other: FloatArray, *, single: bool = False) -> FloatArray:
-    square = np.sum(one**2, axis=1)[:, np.newaxis] + np.sum(other**2, axis=1) - 2.0 * one @ other.T
-    distance = np.maximum(square, 0.0).astype(np.float32 if single else np.float64, copy=False)
-    distance *= 5.0
+    square = np.column_stack([-10.0 * one, 5.0 * np.sum(one**2, axis=1), np.ones(len(one))]) @ np.vstack(
+        [other.T, np.ones(len(other)), 5.0 * np.sum(other**2, axis=1)]
+    )  # 5 |a − b|² as one product
+    distance = np.maximum(square, 0.0, out=square).astype(np.float32 if single else np.float64, copy=False)
     np.sqrt(distance, out=distance)
-    small = np.exp(-distance)
-    small *= 1.0 + distance * (1.0 + distance * (1.0 / 3.0))
-    return np.asarray(small)
+    factor = distance * (1.0 / 3.0)
+    factor += 1.0
+    factor *= distance
+    factor += 1.0
+    np.negative(distance, out=distance)
+    factor *= np.exp(distance, out=distance)
+    return factor

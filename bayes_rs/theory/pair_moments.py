@@ -17,7 +17,7 @@ from bayes_rs.theory.kept_lines import kept_covariance
 from bayes_rs.theory.lag_nodes import LagNodes, lag_nodes
 from bayes_rs.theory.pair_interpolation import PairSample, interpolate_pairs, pair_features, spread_pairs
 from bayes_rs.theory.pairs import FEW, Pairs
-from bayes_rs.theory.probed import CHUNK, count_nodes, shortest_length
+from bayes_rs.theory.probed import CHUNK, Rules, count_nodes, shortest_length
 from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.toeplitz import toeplitz_inner, toeplitz_trace
 
@@ -35,7 +35,7 @@ _CAUTION = 5.0  # the largest error of all pairs over that of the checked ones
 _EVERY = {"pairs_calculated": "every one, with all lags"}
 
 
-_Probes = Literal["as they are", "coarse", "points"]
+_Probes = Rules | Literal["points"]
 
 
 class PairMoments(NamedTuple):
@@ -89,7 +89,7 @@ class _Record:
         return [(int(n // both), int(n % both), index[of == number]) for number, n in enumerate(found)]
 
     def covariance(
-        self, part: NDArray[np.int64], lag: NDArray[np.int64], tolerance: float, probes: _Probes = "as they are"
+        self, part: NDArray[np.int64], lag: NDArray[np.int64], tolerance: float, probes: _Probes = "full"
     ) -> FloatArray:
         """Return the covariances of pairs at lags."""
         pairs = self.pairs
@@ -103,16 +103,15 @@ class _Record:
             lengths=np.zeros_like(pairs.lengths[part]) if probes == "points" else pairs.lengths[part],
             shortest=self.shortest,
             tolerance=tolerance,
-            coarse=probes == "coarse",
+            rules="full" if probes == "points" else probes,
         )
 
-    def count_nodes(self, index: NDArray[np.int64], probes: _Probes) -> int:
+    def count_nodes(self, index: NDArray[np.int64], rules: Rules) -> int:
         """Count the pairs of points that stand for pairs of beams."""
         pairs, flow, probe = self.pairs, self.turbulence, self.scan.probe
-        directions, lengths = (pairs.first[index], pairs.second[index]), pairs.lengths[index]
-        return count_nodes(*directions, flow, probe, lengths, coarse=probes == "coarse")
+        return count_nodes(pairs.first[index], pairs.second[index], flow, probe, pairs.lengths[index], rules)
 
-    def exact(self, index: NDArray[np.int64], probes: _Probes = "as they are") -> tuple[FloatArray, FloatArray]:
+    def exact(self, index: NDArray[np.int64], probes: _Probes = "full") -> tuple[FloatArray, FloatArray]:
         """Return inner and trace of pairs from all lags."""
         inner, trace = np.full(len(self.pairs.own), np.nan), np.full(len(self.pairs.own), np.nan)
         for n_a, n_b, members in self.groups(index):
@@ -140,7 +139,7 @@ class _Record:
         index: NDArray[np.int64],
         nodes: dict[tuple[int, int], LagNodes],
         tolerance: float,
-        probes: _Probes = "as they are",
+        probes: _Probes = "full",
     ) -> FloatArray:
         """Return inner of pairs from few lags."""
         inner = np.full(len(self.pairs.own), np.nan)
@@ -190,11 +189,13 @@ def pair_moments(
 
     Notes
     -----
-    Two shortcuts, each compared with what it stands for:
+    Three shortcuts, each compared with what it stands for:
 
     - Covariances are calculated at lags whose distances grow (`lag_nodes`), from coarser tables. Some pairs, as points,
       are compared with all lags at `tolerance`; where they differ by more than half of `pair_tolerance`, lags and
       tables are finer, and at last all.
+    - Where probe volumes are so long that they need fine rules, rules half as fine are taken, if those pairs differ by
+      no more than 0.4 of `pair_tolerance` by them.
     - Of many pairs of beams with probe volumes, those of points are calculated for all, and those of the volumes for
       some, from which the others are interpolated (`interpolate_pairs`) with an error that pairs outside of those tell:
       that of K, and what it makes of the widths of intervals.
@@ -228,15 +229,24 @@ def _shortened(record: _Record, design: FloatArray, pair_tolerance: float) -> Pa
             break
     else:
         return PairMoments(*record.exact(np.arange(len(pairs.own))), 0.0, dict(_EVERY))
-    about = {"pairs_calculated": "every one, with some lags", "pair_error": lag_error, "pair_error_largest": most}
+    rules: Rules = "full"
+    if record.count_nodes(some, "half") < record.count_nodes(some, "full"):
+        full = record.by_nodes(some, nodes, tolerance)
+        off = size[some] * (record.by_nodes(some, nodes, tolerance, "half") - full)
+        rule_error = _relative(off, size[some] * full)
+        if rule_error <= 0.4 * pair_tolerance:
+            rules, lag_error = "half", float(np.hypot(lag_error, rule_error))
+            most += float(np.max(np.abs(off))) / largest
+    with_some = "with some lags" if rules == "full" else "with some lags and rules half as fine"
+    about = {"pairs_calculated": f"every one, {with_some}", "pair_error": lag_error, "pair_error_largest": most}
 
     def calculate(index: NDArray[np.int64]) -> FloatArray:
-        return record.by_nodes(rest[index], nodes, tolerance)
+        return record.by_nodes(rest[index], nodes, tolerance, rules)
 
     if len(rest) < _MANY or not np.any(pairs.lengths[rest] > 0.0):
         inner[rest] = calculate(np.arange(len(rest)))
         return PairMoments(inner, trace, _CAUTION * most, about)
-    coarse = record.count_nodes(rest, "coarse") <= _AS_MANY / len(rest) * record.count_nodes(rest, "as they are")
+    coarse = record.count_nodes(rest, "coarse") <= _AS_MANY / len(rest) * record.count_nodes(rest, rules)
     alike = record.by_nodes(rest, nodes, tolerance, "coarse" if coarse else "points")
     covariance = size * inner
     covariance[rest] = size[rest] * alike
@@ -245,7 +255,7 @@ def _shortened(record: _Record, design: FloatArray, pair_tolerance: float) -> Pa
     inner[rest] = found.values
     most += found.largest_error / largest
     about = {
-        "pairs_calculated": f"{found.n_calculated + len(own)} of {len(pairs.own)}, with some lags",
+        "pairs_calculated": f"{found.n_calculated + len(own)} of {len(pairs.own)}, {with_some}",
         "pair_error": float(np.hypot(lag_error, found.error)),
         "pair_error_largest": most,
         "pair_error_widths": found.width_error,
@@ -274,7 +284,7 @@ def _interpolated(
         length_scale=record.turbulence.length_scale,
     )
     return interpolate_pairs(
-        features, apart, aside, alike, size, shares, calculate, 0.8 * pair_tolerance, pair_tolerance
+        features, apart, aside, alike, size, shares, calculate, 0.75 * pair_tolerance, pair_tolerance
     )
 
 

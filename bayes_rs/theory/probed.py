@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +19,11 @@ _PARALLEL = 1e-6  # beams at a smaller angle (rad) look along one line
 CORE = 0.01
 """Of L: separations below are interpolated as evenly as at it."""
 _CORE_OF_PROBE = 0.1  # the same of the probe, added to it
-_FARTHEST = 50.0  # L: nodes of a probe farther out may be left out, since covariances are below 1 % of uu there ...
-_LEAST_WEIGHT = 2e-3  # ... if all of them together weigh less than this
-LAG_STEP = 0.2
+_FARTHEST = 300.0  # L: nodes of a probe farther out are left out, which changes K by 2e-5 of an entry at most
+LAG_STEP = 0.3
 """Step of the separations at which covariances of probed beams are calculated, in asinh(separation / core)."""
+
+Rules = Literal["full", "half", "coarse"]
 
 
 def probed_covariance(
@@ -144,7 +147,7 @@ def by_rules(
     tolerance: float,
     *,
     shortest: float | None = None,
-    coarse: bool = False,
+    rules: Rules = "full",
     components: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the covariances of beams with probe volumes by the rules of their kinds of pairs.
@@ -155,19 +158,21 @@ def by_rules(
         As for `probed_covariance`; each separation is calculated.
     shortest : float, optional
         The shortest probe volume that decides which far nodes are left out, m; by default that of each kind of pairs.
-    coarse : bool
-        Take coarse rules, whose results are only like those of the others.
+    rules : str
+        ``"half"`` takes rules that are half as fine, and ``"coarse"`` those which take the mean of the two positions
+        for one that fits it, too: their results are only like those of the others.
 
     Returns
     -------
     covariance : ndarray, shape (n, n_lag)
         m² s⁻².
     """
-    towards, kinds = _rules(first, second, lengths, turbulence, probe, coarse=coarse)
+    towards, kinds = _rules(first, second, lengths, turbulence, probe, rules)
     n_lag, out = along.shape[1], np.empty(along.shape)
     of_first, of_second = (first, second) if components is None else components
     for index, full_rule in kinds:
-        rule = _within(full_rule, lengths[index] if shortest is None else np.array([shortest]), turbulence.length_scale)
+        own = shortest_length(lengths[index]) if shortest is None else shortest
+        rule = _within(full_rule, own, turbulence.length_scale)
         even = _is_even(first[index], second[index], across[index], along[index], lengths[index])
         rule = _ahead(rule) if even else rule
         n_node = len(rule.weight)
@@ -175,10 +180,9 @@ def by_rules(
             a, b = lengths[part, :1] * towards[part], lengths[part, 1:] * second[part]
             shift = rule.difference[:, np.newaxis] * (0.5 * (a + b))[:, np.newaxis]
             shift += rule.mean[:, np.newaxis] * (b - a)[:, np.newaxis]
-            rows = np.repeat(part, n_node)
             covariance = radial_covariance(
-                of_first[rows],
-                of_second[rows],
+                of_first[part],
+                of_second[part],
                 (across[part, np.newaxis] + shift[..., 1:]).reshape(-1, 2),
                 (along[part][:, np.newaxis] + shift[..., :1]).reshape(-1, n_lag),
                 turbulence,
@@ -207,14 +211,13 @@ def count_nodes(
     turbulence: MannTurbulence,
     probe: Probe,
     lengths: FloatArray,
-    *,
-    coarse: bool = False,
+    rules: Rules = "full",
 ) -> int:
     """Count the pairs of points whose covariances the rules of `by_rules` take for one separation of all pairs.
 
     Parameters
     ----------
-    first, second, turbulence, probe, lengths, coarse
+    first, second, turbulence, probe, lengths, rules
         As for `by_rules`.
 
     Returns
@@ -222,7 +225,7 @@ def count_nodes(
     count : int
         Far nodes, which may be left out, are counted.
     """
-    _, kinds = _rules(first, second, lengths, turbulence, probe, coarse=coarse)
+    _, kinds = _rules(first, second, lengths, turbulence, probe, rules)
     return sum(len(index) * len(rule.weight) for index, rule in kinds)
 
 
@@ -232,20 +235,17 @@ def _rules(
     lengths: FloatArray,
     turbulence: MannTurbulence,
     probe: Probe,
-    *,
-    coarse: bool,
+    rules: Rules,
 ) -> tuple[FloatArray, list[tuple[NDArray[np.int64], Rule]]]:
-    """Return the first directions turned towards the second ones, and the kinds of pairs with the rule of each.
-
-    Coarse rules have nodes twice as far apart, and take the mean of the two positions for one that fits it.
-    """
+    """Return the first directions turned towards the second ones, and the kinds of pairs with the rule of each."""
     facing = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)  # φ is symmetric
     towards = facing * first
     one = np.min(lengths, axis=-1) <= 0.0
     parallel = ~one & (np.linalg.norm(second - towards, axis=-1) < _PARALLEL)
-    wide = ~one & ~parallel & (not coarse) & needs_wide(towards, second, lengths, turbulence.length_scale)
+    wide = ~one & ~parallel & needs_wide(towards, second, lengths, turbulence.length_scale)
+    wide &= rules != "coarse"
     fineness = fineness_for(probe, lengths, turbulence.length_scale)
-    fineness = np.maximum(fineness // 2, 1) if coarse else fineness
+    fineness = fineness if rules == "full" else np.maximum(fineness // 2, 1)
     kinds: list[tuple[NDArray[np.bool_], Rule]] = []
     for fine in np.unique(fineness).tolist():
         position, weight = probe.beam_rule(fineness=2 * fine)
@@ -305,20 +305,17 @@ def probe_transfer(
     array([[0.83, 0.66, 0.56, 0.74, 0.68, 0.61]])
     """
     fineness = int(np.max(fineness_for(probe, lengths[:, np.newaxis], turbulence.length_scale)))
-    rule = probe.difference_rule(fineness=fineness)
-    ahead = rule.difference > 0.0  # covariances are even
-    shift = (lengths[:, np.newaxis] * rule.difference[ahead])[..., np.newaxis] * line_of_sight[:, np.newaxis]
+    rule = _within(probe.difference_rule(fineness=fineness), shortest_length(lengths), turbulence.length_scale)
+    rule = _ahead(rule)  # covariances are even
+    shift = (lengths[:, np.newaxis] * rule.difference)[..., np.newaxis] * line_of_sight[:, np.newaxis]
     covariance = velocity_covariance(shift, turbulence, tolerance=tolerance)
-    left = np.einsum("q,bqij->bij", 2.0 * rule.weight[ahead], covariance)
+    left = np.einsum("q,bqij->bij", 2.0 * rule.weight, covariance)
     filtered = np.stack([left[:, i, j] for i, j in INDEX_PAIRS], axis=-1)
     part = np.clip(filtered[:, :3] / turbulence.stresses()[:3], 0.0, 1.0)  # the error of the covariances only
     return np.stack([np.sqrt(part[:, i] * part[:, j]) for i, j in INDEX_PAIRS], axis=-1), filtered
 
 
-def _within(rule: Rule, lengths: FloatArray, length_scale: float) -> Rule:
-    """Leave out the nodes of a rule that are beyond the reach of the covariance for all pairs of `lengths`."""
-    shortest = float(np.min(np.where(lengths > 0.0, lengths, np.inf)))
-    near = 0.5 * np.abs(rule.difference) * shortest < _FARTHEST * length_scale
-    if np.sum(rule.weight[~near]) > _LEAST_WEIGHT:
-        return rule
+def _within(rule: Rule, length: float, length_scale: float) -> Rule:
+    """Leave out the nodes of a rule that are beyond the reach of the covariance for a probe of `length`, m."""
+    near = np.hypot(0.5 * rule.difference, rule.mean) * length < _FARTHEST * length_scale
     return Rule(rule.difference[near], rule.mean[near], rule.weight[near])

@@ -29,6 +29,7 @@ def isotropic_correlation(distance: FloatArray) -> tuple[FloatArray, FloatArray]
     return np.where(r > 0.0, f, ISOTROPIC_VARIANCE), np.where(r > 0.0, g, ISOTROPIC_VARIANCE)
 
 
+_NOTHING = 20.0  # L: beyond, f and g are below 1e-8 of the variance
 _LOG_NEAREST, _LOG_FARTHEST, _N_CORRELATION = np.log(1e-7), np.log(60.0), 2400
 
 
@@ -65,7 +66,16 @@ def _correlations(log_r: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def isotropic_radial(first: FloatArray, second: FloatArray, across: FloatArray, along: FloatArray) -> FloatArray:
-    """Return n_a · C(r) n_b at Γ = 0 in αε^(2/3) L^(2/3), shape (n, n_lag); lengths in L; as precise as it is given."""
+    """Return n_a · C(r) n_b at Γ = 0 in αε^(2/3) L^(2/3), shape (n, n_lag); lengths in L; as precise as it is given.
+
+    Beyond `_NOTHING` across the wind it is zero.
+    """
+    near = np.sum(across * across, axis=-1) < _NOTHING**2
+    if not np.all(near):
+        some = np.zeros(along.shape, dtype=along.dtype)
+        if np.any(near):
+            some[near] = isotropic_radial(first[near], second[near], across[near], along[near])
+        return some
     square = along * along + np.sum(across * across, axis=-1, keepdims=True)
     near = square < np.exp(2.0 * _LOG_NEAREST)  # outside the spline: evaluated directly
     log_r = 0.5 * np.log(np.where(near, 1.0, square).astype(square.dtype, copy=False))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +27,8 @@ INDEX_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ODD_IN_K2 = (STRESSES.index("uv"), STRESSES.index("vw"))
 _CORE = 0.01  # L: separations below it are interpolated as evenly as at it
 _BLOCK = 60_000  # covariances at a time: their working arrays stay in the processor's cache
+_WORTH_A_TABLE = 100  # places of one pair for which the components are weighted in the whole table
+_TABLES = 8  # such tables at a time
 _ON_GRID = 1e-9  # steps: separations that near those of a table are those of the table
 _LEAST_REACH = (256.0, 4.0)  # L, along and across: a table reaches at least so far, and then to powers of four
 # exponents that make both transforms decay at both ends; results do not depend on them
@@ -160,10 +161,11 @@ def radial_covariance(
 
     Parameters
     ----------
-    first, second : array_like, shape (n, 3)
+    first, second : array_like, shape (n_pair, 3)
         Unit vectors n_a and n_b of the two beams of each pair, in the mean-wind frame.
     across : array_like, shape (n, 2)
-        Separation of the two measured points along y and z, m.
+        Separation of the two measured points along y and z, m: n/n_pair places for each pair, those of the first pair
+        first (the nodes of two probe volumes; hundreds of them cost less than as many pairs).
     along : array_like, shape (n, n_lag)
         Separations along x, m; a lag τ from the first to the second beam counts as Δx − Uτ.
     turbulence : MannTurbulence, str or Path
@@ -196,7 +198,12 @@ def radial_covariance(
     """
     across_scaled = check_array(across, (None, 2), what="across") / turbulence.length_scale
     n = len(across_scaled)
-    n_a, n_b = check_array(first, (n, 3), what="first"), check_array(second, (n, 3), what="second")
+    n_a = check_array(first, (None, 3), what="first")
+    n_b, n_place = check_array(second, (len(n_a), 3), what="second"), n // max(len(n_a), 1)
+    if n_place * len(n_a) != n:
+        raise InputError(
+            f"Invalid across of shape {across_scaled.shape}: give as many places to each of {len(n_a)} pairs."
+        )
     along_scaled = _scaled(check_array(along, (n, None), what="along"), turbulence)
     extent = np.array(
         [[np.max(np.abs(along_scaled), initial=0.0), *np.max(np.abs(across_scaled), axis=0, initial=0.0)]]
@@ -206,12 +213,20 @@ def radial_covariance(
         [n_a[:, i] * n_b[:, j] + (n_a[:, j] * n_b[:, i] if i != j else 0.0) for i, j in INDEX_PAIRS], axis=-1
     )
     covariance = np.empty(along_scaled.shape)
-    kind = table.values.dtype
-    for start, stop in pairwise(np.linspace(0, n, max(1, min(n, along_scaled.size // _BLOCK)) + 1).astype(int)):
-        part = slice(start, stop)
-        y, z = across_scaled[part].T
-        total = table.project(y, z, weights[part], along_scaled[part])
-        total += isotropic_radial(*(v[part].astype(kind, copy=False) for v in (n_a, n_b, across_scaled, along_scaled)))
+    at_once = max(1, _BLOCK // max(n_place * along_scaled.shape[1], 1))
+    if n_place >= _WORTH_A_TABLE:
+        at_once = min(at_once, _TABLES)
+    for start in range(0, len(n_a), at_once):
+        beams = slice(start, start + at_once)
+        part = slice(start * n_place, min(start + at_once, len(n_a)) * n_place)
+        (y, z), x = across_scaled[part].T, along_scaled[part]
+        total = table.project(y, z, weights[beams], x)
+        total += isotropic_radial(
+            *(
+                of.astype(total.dtype, copy=False)
+                for of in (*(np.repeat(of[beams], n_place, axis=0) for of in (n_a, n_b)), across_scaled[part], x)
+            )
+        )
         np.multiply(total, turbulence.velocity_scale**2, out=covariance[part], dtype=np.float64)
     return covariance
 
@@ -314,8 +329,8 @@ class CovarianceTable:
         ----------
         y, z : ndarray, shape (n,)
             Separations across the wind, in L.
-        weights : ndarray, shape (n, 6)
-            Weight of each component, as n_a n_b symmetrised for radial velocities.
+        weights : ndarray, shape (n_pair, 6)
+            Weight of each component, as n_a n_b symmetrised for radial velocities, at n/n_pair separations in turn.
         x : ndarray, shape (n, n_lag)
             Separations along the wind, in L.
 
@@ -325,9 +340,17 @@ class CovarianceTable:
             In αε^(2/3) L^(2/3).
         """
         signs, columns, shares = self._place(y, z)
-        n = len(STRESSES)
+        n, n_pair = len(STRESSES), len(weights)
+        n_place = len(y) // max(n_pair, 1)
+        if n_place >= _WORTH_A_TABLE:
+            # the components of each pair are weighted once in the whole table, for both signs of y
+            both = np.stack([weights, np.where(_odd_mask(), -weights, weights)], axis=1).reshape(-1, n)
+            lines = both.astype(self.values.dtype) @ self.values.reshape(-1, n, self.shape[2])
+            own = np.repeat(2 * np.arange(n_pair, dtype=np.int32), n_place) + (y < 0.0)
+            columns = np.int32(len(both)) * columns + own[:, np.newaxis].astype(np.int32)
+            return self._along(_rows_times(shares, columns, lines.reshape(-1, self.shape[2])), x)
         column = (n * columns[:, :, np.newaxis] + np.arange(n)).astype(np.int32)
-        share = shares[:, :, np.newaxis] * (signs * weights)[:, np.newaxis]
+        share = shares[:, :, np.newaxis] * (signs * np.repeat(weights, n_place, axis=0))[:, np.newaxis]
         return self._along(_rows_times(share, column, self.values), x)
 
     def components(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
