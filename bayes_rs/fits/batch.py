@@ -336,6 +336,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     n_chain, n_draw, k = chains.coordinate.shape[1:]
     n_beam = batch.variance.shape[1]
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
+    full: RecordNoise | None = None
     if predict:
         some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
         expected = posterior.likelihood.expected(*posterior.seen(some))
@@ -349,6 +350,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         predicted,
         outside,
         np.zeros(len(batch)),
+        full,
     )
 
 

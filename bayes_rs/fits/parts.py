@@ -25,7 +25,7 @@ from bayes_rs.fits.columns import (
     VARIANCES,
     pattern_columns,
 )
-from bayes_rs.fits.direction_table import contraction_along, covariance_of
+from bayes_rs.fits.direction_table import contraction_along, covariances_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
 from bayes_rs.fits.information import variances_alone
@@ -254,8 +254,9 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
         _put_alone(found, rows, known, batch, shared)
     error = monte_carlo_error(summary)
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
-    matrix = covariance_of(flat, ddof=1)
-    along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
+    covariances = covariances_of(flat)
+    matrix = covariances[0] * (flat.shape[1] / (flat.shape[1] - 1.0))
+    along, of_shape = contraction_along(shared.vectors, covariances, batch.yaw[rows], shared.prior_covariances)
     numbers = {
         "stresses_learnt": learnt,
         "acceptance_rate": chains.acceptance,
@@ -342,11 +343,11 @@ def _draws_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) 
     """Lay out draws (n_record, n_chain, n_draw, 6), and those of the nuisances, one row a draw."""
     _, n_chain, n_draw, _ = draws.chains.stress.shape
     kind = shared.options.draws_type
-    flat = draws.chains.stress.reshape(-1, len(STRESSES)).astype(kind)
+    by_stress = np.moveaxis(draws.chains.stress, -1, 0)  # each in a row in memory, record by record
     return pd.DataFrame(
         {
             **_places(record, n_chain, n_draw),
-            **{name: flat[:, index] for index, name in enumerate(STRESSES)},
+            **{name: some.astype(kind).reshape(-1) for name, some in zip(STRESSES, by_stress, strict=True)},
             **{name: values.reshape(-1).astype(kind) for name, values in draws.nuisances.items()},
         }
     )

@@ -22,8 +22,8 @@ PRIOR_BELOW = 0.5
 """Share below which the prior decided more of a number than the data did."""
 PRIORS = "mostly the prior's: the data decided less than half"
 """What a legend says of such numbers."""
-_BATCH = 32
-"""Records whose draws are looked at together."""
+_BATCH = 16
+"""Records whose draws are looked at together: they stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +158,10 @@ def _of_some(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArr
     joint = np.empty((len(stress), n_stress + 3, N_ENSEMBLE, n_draw))
     columns = np.moveaxis(joint, 1, -1)
     with np.errstate(invalid="ignore", divide="ignore"):  # tensors at the edge by rounding: NaN
-        columns[..., :n_stress] = log_ratios_from_stress(of_ensemble)
+        log_ratios_from_stress(of_ensemble, out=columns[..., :n_stress])
         columns[..., n_stress:] = of_ensemble[..., 3:]
-        size = np.stack(
-            [
-                np.sqrt(of_ensemble[..., row] * of_ensemble[..., column]).mean(axis=(1, 2))
-                for row, column in zip(_ROWS, _COLUMNS, strict=True)
-            ],
-            axis=-1,
-        )
+        root = np.sqrt(np.moveaxis(of_ensemble[..., :3], -1, 1).reshape(len(stress), 3, -1))
+        size = (root @ root.swapaxes(-1, -2))[:, _ROWS, _COLUMNS] / root.shape[-1]
         mean = joint.mean(axis=-1)  # (record, quantity, ensemble)
         joint -= mean[..., None]
         centred = joint.swapaxes(1, 2)

@@ -171,15 +171,15 @@ def stress_from_correlations(
     return stress
 
 
-def log_ratios_from_stress(stress: FloatArray) -> FloatArray:
-    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (..., 6).
+def log_ratios_from_stress(stress: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (..., 6); into `out`.
 
     That is the inverse of `stress_from_correlations`. What is not realizable, or is at the edge, is not finite.
     """
     uu, _, _, uv, uw, vw = (stress[..., index] for index in range(N_COORDINATE))
     root = np.sqrt(stress[..., :3])
     sd_u, sd_v, sd_w = root[..., 0], root[..., 1], root[..., 2]
-    found = np.empty_like(stress)  # keeps the layout in memory
+    found = np.empty_like(stress) if out is None else out  # keeps the layout in memory
     rho_uv, rho_uw, partial = found[..., 3], found[..., 4], found[..., 5]
     np.divide(uv, sd_u * sd_v, out=rho_uv)
     np.divide(uw, sd_u * sd_w, out=rho_uw)

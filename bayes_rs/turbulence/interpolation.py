@@ -189,15 +189,16 @@ def combine(weights: FloatArray, values: FloatArray) -> FloatArray:
     """
     combined = np.zeros((len(weights), *values.shape[1:]))
     states = np.flatnonzero(weights.any(axis=0))
-    if len(weights) <= len(states):  # few points: each by itself, its states one after the other, as below
-        for row, own in enumerate(weights):
+    many = values[0].size > _FEW_NUMBERS
+    if many or len(weights) <= len(states):  # each point by itself, its states one after the other, as below
+        for found, own in zip(combined, weights, strict=True):
             some = np.flatnonzero(own)
-            if combined[row].size > _FEW_NUMBERS:
+            if many:
                 for state in some:
-                    combined[row] += own[state] * values[state]
+                    np.add(found, own[state] * values[state], out=found)
             elif len(some):
                 parts = own[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[some]
-                combined[row] += np.add.accumulate(parts)[-1]
+                np.add(found, np.add.accumulate(parts)[-1], out=found)
         return combined
     for state in states:
         rows, value = np.flatnonzero(weights[:, state]), values[state]
