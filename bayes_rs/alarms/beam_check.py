@@ -197,7 +197,8 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
             if block is None:
                 continue
             covariance = block.expected.covariance()
-            scores = score_patterns(block.expected.residual, covariance, block.used, patterns, block.datum)
+            found = block.expected
+            scores = score_patterns(found.residual, covariance, block.used, patterns, block.datum, found.precision)
             whole = np.asarray(block.used.all(axis=1))
             if name not in independent and whole.any():
                 independent[name] = independent_patterns(covariance[int(whole.argmax())], patterns)

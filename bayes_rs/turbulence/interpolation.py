@@ -191,14 +191,14 @@ def combine(weights: FloatArray, values: FloatArray) -> FloatArray:
     states = np.flatnonzero(weights.any(axis=0))
     many = values[0].size > _FEW_NUMBERS
     if many or len(weights) <= len(states):  # each point by itself, its states one after the other, as below
-        for found, own in zip(combined, weights, strict=True):
+        for row, own in enumerate(weights):
             some = np.flatnonzero(own)
             if many:
                 for state in some:
-                    np.add(found, own[state] * values[state], out=found)
+                    combined[row] += own[state] * values[state]
             elif len(some):
                 parts = own[some].reshape(-1, *(1,) * (values.ndim - 1)) * values[some]
-                np.add(found, np.add.accumulate(parts)[-1], out=found)
+                combined[row] += np.add.accumulate(parts)[-1]
         return combined
     for state in states:
         rows, value = np.flatnonzero(weights[:, state]), values[state]
