@@ -194,9 +194,11 @@ class RecordSampler:
         too_few = np.sum(flat * flat, axis=1) > 1.0 / (_WORTH * self.n_walker)
         short = too_few | (self.pareto_k[records] > PARETO_K_LIMIT)
         if extension > self.max_extension or not short.any():
-            self._enter(found, weight, records, np.arange(len(records)))
+            self._enter(found, weight, records)
             return
-        self._enter(found, weight, records, np.flatnonzero(~short))
+        enough = np.flatnonzero(~short)
+        if len(enough):
+            self._enter(found.take(enough), weight[enough], records[enough])
         some = np.flatnonzero(short)
         for rows in np.array_split(some, -(-len(some) * 2**extension // len(records))):
             if len(rows):
@@ -204,20 +206,16 @@ class RecordSampler:
                 part.draw(part.fitted_with(weight[rows]), part.total_size)
                 self._start(part, records[rows], extension + 1)
 
-    def _enter(
-        self, found: Candidates, weight: FloatArray, records: NDArray[np.int64], rows: NDArray[np.int64]
-    ) -> None:
-        """Resample the walkers of some rows of the records from their candidates, and fit the proposal to these."""
-        if len(rows) == 0:
-            return
-        by_ensemble = weight[rows].reshape(len(rows), N_ENSEMBLE, -1)
+    def _enter(self, found: Candidates, weight: FloatArray, records: NDArray[np.int64]) -> None:
+        """Resample the walkers of some records from their candidates, and fit the proposal to these."""
+        by_ensemble = weight.reshape(len(records), N_ENSEMBLE, -1)
         density = np.concatenate(found.log_density, axis=-1).reshape(len(records), -1)
         coordinates = found.all_coordinates().reshape(len(records), self.coordinate.shape[1], -1)
-        index = resampled(by_ensemble, self.streams.uniform(records[rows], (N_ENSEMBLE,)), self.n_walker)
-        for row, one in zip(rows, index, strict=True):
-            np.take(coordinates[row], one, axis=1, out=self.coordinate[records[row]], mode="clip")
-            np.take(density[row], one, out=self.log_density[records[row]], mode="clip")
-        self._put(records[rows], found.fitted_with(weight).take(rows))
+        index = resampled(by_ensemble, self.streams.uniform(records, (N_ENSEMBLE,)), self.n_walker)
+        for record, one, coordinate, of_one in zip(records, index, coordinates, density, strict=True):
+            np.take(coordinate, one, axis=1, out=self.coordinate[record], mode="clip")
+            np.take(of_one, one, out=self.log_density[record], mode="clip")
+        self._put(records, found.fitted_with(weight))
 
     def _put(self, records: NDArray[np.int64], fitted: StudentProposal) -> None:
         self.proposal.mode[records], self.proposal.factor[records] = fitted.mode, fitted.factor
