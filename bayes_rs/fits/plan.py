@@ -6,7 +6,7 @@ import json
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -34,8 +34,6 @@ from bayes_rs.noise.noise import Noise
 from bayes_rs.options import to_plain
 from bayes_rs.posteriors.decided import PriorRoom, leading_variance
 from bayes_rs.posteriors.sampling.chains import BLOCK, N_CHAIN
-from bayes_rs.priors.interface import Prior
-from bayes_rs.priors.ratio import RatioPrior, WeakPrior
 from bayes_rs.records.belief import doubt_lines
 from bayes_rs.sizes import check_size, check_work
 
@@ -98,14 +96,6 @@ class Plan:
         return ("summary", "posterior", *alone, *(("draws", "predicted") if self.shared.keep_draws else ()))
 
 
-def _widths(prior: Prior, prob: float, interval: str) -> tuple[float, ...]:
-    return tuple(float(width) for width in prior.interval_widths(prob, interval))
-
-
-_kept_widths = lru_cache(maxsize=16)(_widths)
-"""The same of priors that are a few numbers and nothing else, as those of most fits: it takes 0.1 s."""
-
-
 def plan_fit(
     records: xr.Dataset,
     scan: Scan,
@@ -149,8 +139,7 @@ def plan_fit(
         room, covariances = like.shared.room, like.shared.prior_covariances
     else:
         prior_draws = prior.draw(N_PRIOR_DRAW, PRIOR_SEED)
-        of_prior = _kept_widths if isinstance(prior, (WeakPrior, RatioPrior)) else _widths
-        widths = list(of_prior(prior, options.prob, options.interval))
+        widths = [float(width) for width in prior.interval_widths(options.prob, options.interval)]
         room, covariances = PriorRoom.of(prior_draws, leading_variance(level)), prior_covariances(prior_draws)
     shared = Shared(
         noise=noise,
