@@ -25,10 +25,6 @@ _SHOWN_DRAWS = 4000
 """Draws of a prior that is shown: its ends are good to a few per cent, as much as a picture shows."""
 
 
-_HALF_LOGARITHMS = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
-"""Those of standard deviations, in place of variances."""
-
-
 class Prior(ABC):
     """The narrow interface of all priors: a name, words, unbounded coordinates and the map from them to stresses."""
 
@@ -133,6 +129,10 @@ class NormalPrior(Prior):
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
         return rng.standard_normal((n_draw, self.n_coordinate))
+
+
+_HALF_LOGARITHMS = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+"""Those of standard deviations, in place of variances."""
 
 
 class LogRatioPrior(NormalPrior):
