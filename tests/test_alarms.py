@@ -162,6 +162,24 @@ class TestVariances:
         # all of it but the size, whose prior is 20 wide in ln uu
         np.testing.assert_allclose(each[0], each[1], rtol=0.02, atol=0.02)
 
+    def test_the_precision_is_the_inverse_of_the_covariance(self):
+        """Of records with beams that are not used, and of such as are fitted again because a beam is far off."""
+        scan, gain, covariance, place = variance_case()
+        variance = np.random.default_rng(5).uniform(0.5, 1.5, (5, scan.n_beam))
+        variance[3, 1] *= 300.0
+        used = np.ones(variance.shape, bool)
+        used[:2, 2] = False
+        found = expected_variances(variance, used, gain, covariance, 0.0, place)
+        assert np.abs(found.left[3, 1]) > 3.0
+        np.testing.assert_allclose(found.precision, np.linalg.inv(found.covariance()), rtol=1e-9, atol=1e-9)
+        datum = np.log(variance)
+        own, known = (
+            score_patterns(found.residual, found.covariance(), used, beam_patterns(scan.beam_direction), datum, one)
+            for one in (None, found.precision)
+        )
+        for name in ("square", "score", "shift", "swap"):
+            np.testing.assert_allclose(getattr(known, name), getattr(own, name), rtol=1e-8, atol=1e-8)
+
     def test_unused_beams_say_nothing(self):
         scan, gain, covariance, place = variance_case()
         variance = np.random.default_rng(5).uniform(0.5, 1.5, (5, scan.n_beam))

@@ -12,6 +12,7 @@ from http.client import HTTPConnection
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from report_scene import result_folder
 
@@ -209,6 +210,25 @@ class TestOpening:
         assert content_of(start) == before
         with pytest.raises(brs.InputError, match="no records here"):
             with_fit(fitted, SETTINGS)
+
+    def test_a_mast_and_motion_of_the_settings_stand_in_the_records(self, start, tmp_path):
+        plain = open_place(place_below(start, "<b>six.parquet"), "six", SETTINGS, "", "").records
+        pd.DataFrame({"time": plain["time"].values, "uu": 1.1}).to_csv(tmp_path / "mast.csv", index=False)
+        pd.DataFrame({"time": plain["time"].values + np.timedelta64(60, "s"), "tilt_deg": 0.5}).to_csv(
+            tmp_path / "motion.csv", index=False
+        )
+        settings = SETTINGS.changed(
+            mast=(str(tmp_path / "mast.csv"),),
+            mast_position=(-80.0, 10.0, 0.0),
+            motion=(str(tmp_path / "motion.csv"),),
+            motion_columns={"time": "time", "tilt_deg": "tilt_deg"},
+        )
+        found = open_place(place_below(start, "<b>six.parquet"), "six", settings, "", "")
+        np.testing.assert_allclose(found.records["mast_stress"].values[:, 0], 1.1)
+        np.testing.assert_allclose(found.records["tilt"].values, 0.5)
+        assert "a mast at (-80, 10, 0) m is data of the fit: it has stresses of 6 of 6 records" in found.lines
+        assert "tilt and roll from 1 files; 0 records without" in found.lines
+        assert with_fit(found, settings).fit.n_fitted == 6
 
     def test_a_file_without_a_scan(self, start):
         with pytest.raises(brs.InputError, match="The scan of 'six' is not known: choose one"):

@@ -5,7 +5,7 @@ import pytest
 from scenes import draw_variances, plain_noise, records_of
 
 from bayes_rs import fit, load_scan
-from bayes_rs.fits.direction_table import direction_words
+from bayes_rs.fits.direction_table import covariances_of, direction_words
 from bayes_rs.geometry.forward import design_matrix
 from bayes_rs.geometry.stress import STRESSES, rotate_stress
 from bayes_rs.priors.ratio import WeakPrior
@@ -68,6 +68,15 @@ def test_an_unseen_direction_keeps_the_width_of_the_prior_where_nothing_binds_it
     assert not rows[free]["seen"].any()
     assert (rows[free]["contraction"].abs() < 0.4).all()
     assert rows[rows["seen"]]["contraction"].min() > 0.7
+
+
+def test_covariances_are_those_of_numpy():
+    draws = WeakPrior().draw(20 * 50, 3).reshape(20, 50, 6)  # more records than are looked at together
+    found, of_shape = covariances_of(draws)
+    for record, one in enumerate(draws):
+        shape = one / one[:, :3].sum(axis=1, keepdims=True)
+        np.testing.assert_allclose(found[record], np.cov(one, rowvar=False, bias=True), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(of_shape[record], np.cov(shape, rowvar=False, bias=True), rtol=1e-9, atol=1e-12)
 
 
 def test_words():

@@ -161,6 +161,13 @@ class TestEveryPrior:
         assert prior.log_density(coordinate[0]).shape == ()
         assert prior.stress(coordinate[0]).shape == (6,)
 
+    def test_the_layout_in_memory_changes_no_bit(self, prior):
+        """Samplers hold each coordinate of a record's draws as a run of numbers, which is calculated in another way."""
+        coordinate = prior.draw_coordinate(60, np.random.default_rng(8)).reshape(3, 20, -1)
+        runs = np.ascontiguousarray(coordinate.swapaxes(1, 2)).swapaxes(1, 2)
+        np.testing.assert_array_equal(prior.stress(runs), prior.stress(coordinate))
+        np.testing.assert_array_equal(prior.log_density(runs), prior.log_density(coordinate))
+
     def test_coordinates_are_not_changed(self, prior):
         coordinate = prior.draw_coordinate(6, np.random.default_rng(8))
         before = coordinate.copy()

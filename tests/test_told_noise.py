@@ -289,3 +289,44 @@ class TestToTheLastBit:
         for name in ("log_share", "log_sd", "power", "common_log_sd"):
             np.testing.assert_array_equal(getattr(one_by_one, name), getattr(together, name))
             np.testing.assert_array_equal(getattr(one_by_one, name), getattr(again, name))
+
+
+class TestHyperparameters:
+    """What the records say of all, and of each without itself, is that of sums of logarithms, one at a time."""
+
+    @staticmethod
+    def slowly(density, fine, size, hyper, lengths, usual):
+        share = np.exp(hyper[0])
+        log_prior = np.log(share / (share + 0.02)) - 0.5 * share * usual / 0.3**2
+        evidence = []
+        for one, at in zip(np.log(density), size, strict=True):
+            of_hyper = []
+            for centre, power, spread in zip(*hyper, strict=True):
+                log_normal = -0.5 * ((fine - centre - (power - 1.0) * at) / spread) ** 2
+                log_normal -= scipy.special.logsumexp(log_normal)
+                of_length = scipy.special.logsumexp(one + log_normal[:, None], axis=0)
+                of_hyper.append(scipy.special.logsumexp(of_length + np.log(lengths[0]), axis=1))
+            evidence.append(of_hyper)
+        evidence = np.array(evidence)
+        total = log_prior[:, None] + lengths[1] + evidence.sum(axis=0)
+        own = scipy.special.logsumexp(total - evidence, axis=2)
+        whole = scipy.special.logsumexp(total, axis=1)
+        return scipy.special.softmax(whole), scipy.special.softmax(own, axis=1)
+
+    @pytest.mark.parametrize("most", [1.0, 3.0])  # times the mean variance or less; such that priors leave the grid
+    def test_weights_are_those_of_sums_of_logarithms(self, most, monkeypatch):
+        n_record = 7
+        size = np.geomspace(1.0 / most**4, most**4, n_record)
+        records = simulated(noise=0.05, n_records=n_record, size=size)
+        _, octaves = _octaves(records, SIX, 3.2)
+        length = pooled_noise._steps(pooled_noise.length_nodes()[[0, -1]], 0.1)
+        fine = pooled_noise._steps(pooled_noise._SHARES, 0.05)
+        lengths = pooled_noise._length_hypers(length, 61.0, 0.8)
+        hyper = tuple(axis.ravel() for axis in np.meshgrid([-6.9, -5.0, -3.0, -1.0], [0.0, 0.5, 1.0], [0.1, 0.7]))
+        given = (pooled_noise._density(octaves), fine, np.log(size), hyper, lengths, 0.6)
+        monkeypatch.setattr(pooled_noise, "_HYPERS", 5)  # in parts
+        weight, own = pooled_noise._posterior(*given)
+        slow_weight, slow_own = self.slowly(*given)
+        np.testing.assert_allclose(weight, slow_weight, rtol=1e-10, atol=1e-14)
+        np.testing.assert_allclose(own, slow_own, rtol=1e-10, atol=1e-14)
+        assert np.abs(own - weight).max() > 0.01  # a record's own word counts

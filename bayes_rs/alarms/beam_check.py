@@ -197,7 +197,8 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
             if block is None:
                 continue
             covariance = block.expected.covariance()
-            scores = score_patterns(block.expected.residual, covariance, block.used, patterns, block.datum)
+            found = block.expected
+            scores = score_patterns(found.residual, covariance, block.used, patterns, block.datum, found.precision)
             whole = np.asarray(block.used.all(axis=1))
             if name not in independent and whole.any():
                 independent[name] = independent_patterns(covariance[int(whole.argmax())], patterns)
@@ -368,13 +369,15 @@ def _scatter(
     known = np.isfinite(left[sound]).sum(axis=0) >= FEWEST
     middle = np.zeros(left.shape[1])
     middle[known] = np.nanmedian(left[sound][:, known], axis=0)
-    found = [
-        _of_noise(noise, slope, residual - np.where(used, middle, 0.0), used)
-        for part in some
-        for noise, slope, residual, used, record in zip(*part, strict=True)
-        if sound[record] and used.any()
-    ]
-    square, count = np.array([one for one in found if one[1] > 0] or np.empty((0, 2))).T
+    noise, slope, residual, used, record = (np.concatenate(parts) for parts in zip(*some, strict=True))
+    residual = residual - np.where(used, middle, 0.0)
+    looked_at = sound[record] & used.any(axis=1)
+    square, count = np.zeros(len(record)), np.zeros(len(record), dtype=np.int64)
+    for beams in np.unique(used[looked_at], axis=0):
+        rows = np.flatnonzero(looked_at & (used == beams).all(axis=1))
+        own = noise[np.ix_(rows, beams, beams)]
+        square[rows], count[rows] = _of_noise(own, slope[np.ix_(rows, beams)], residual[np.ix_(rows, beams)])
+    square, count = square[count > 0], count[count > 0]
     if len(square) < FEWEST:
         return None
     draws = np.random.default_rng(0).integers(0, len(square), (_N_BOOT, len(square)))
@@ -382,12 +385,13 @@ def _scatter(
     return float(square.sum() / count.sum()), float(low), float(high)
 
 
-def _of_noise(noise: FloatArray, slope: FloatArray, residual: FloatArray, used: NDArray[np.bool_]) -> tuple[float, int]:
-    """Return χ² of one record's residuals along the directions that flow hardly moves, and how many there are."""
-    own = noise[np.ix_(used, used)] + (_NOISE_FLOOR**2 - FLOOR**2) * np.eye(int(used.sum()))
-    white = np.linalg.solve(np.linalg.cholesky(own), np.column_stack([slope[used], residual[used]]))
-    left, size, _ = np.linalg.svd(white[:, :-1], full_matrices=True)
-    power = np.zeros(len(left))
-    power[: len(size)] = size**2
+def _of_noise(noise: FloatArray, slope: FloatArray, residual: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return χ² of records' residuals along the directions that flow hardly moves, and how many there are."""
+    own = noise + (_NOISE_FLOOR**2 - FLOOR**2) * np.eye(noise.shape[-1])
+    white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([slope, residual[:, :, np.newaxis]], axis=2))
+    left, size, _ = np.linalg.svd(white[:, :, :-1], full_matrices=True)
+    power = np.zeros(residual.shape)
+    power[:, : size.shape[1]] = size**2
     null = power < _NULL
-    return float(np.sum(((left.T @ white[:, -1]) ** 2 / (1.0 + power))[null])), int(null.sum())
+    along = (left.swapaxes(-1, -2) @ white[:, :, -1:])[..., 0]
+    return np.sum(np.where(null, along**2 / (1.0 + power), 0.0), axis=1), np.count_nonzero(null, axis=1)

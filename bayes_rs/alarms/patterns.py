@@ -101,7 +101,12 @@ class Scores:
 
 
 def score_patterns(
-    residual: FloatArray, covariance: FloatArray, used: NDArray[np.bool_], patterns: Patterns, datum: FloatArray
+    residual: FloatArray,
+    covariance: FloatArray,
+    used: NDArray[np.bool_],
+    patterns: Patterns,
+    datum: FloatArray,
+    precision: FloatArray | None = None,
 ) -> Scores:
     r"""Return how strongly residuals ask for a shift of each pattern's beams, and for an exchange of two.
 
@@ -117,6 +122,8 @@ def score_patterns(
         The patterns.
     datum : ndarray, shape (n_record, n_beam)
         The data themselves: what is exchanged.
+    precision : ndarray, shape (n_record, n_beam, n_beam), optional
+        Inverse of V, where it is known; V must then be zero between used beams and others.
 
     Returns
     -------
@@ -134,25 +141,31 @@ def score_patterns(
     others predict, in standard deviations of that prediction. χ² falls by t² if the beams of the pattern may be wrong.
     """
     both = used[:, :, None] & used[:, None, :]
-    whole = np.where(both, covariance, 0.0) + np.eye(used.shape[1]) * np.where(used, 0.0, 1.0)[:, :, None]
-    precision = np.where(both, np.linalg.inv(whole), 0.0)
-    precision = 0.5 * (precision + precision.swapaxes(-1, -2))
-    pull = np.einsum("rab,rb->ra", precision, residual)
+    if precision is None:
+        whole = np.where(both, covariance, 0.0) + np.eye(used.shape[1]) * np.where(used, 0.0, 1.0)[:, :, None]
+        precision = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+    inverse = np.where(both, 0.5 * (precision + precision.swapaxes(-1, -2)), 0.0)
+    pull = np.einsum("rab,rb->ra", inverse, residual)
     over = pull @ patterns.matrix.T
-    weight = np.einsum("rpb,pb->rp", patterns.matrix @ precision, patterns.matrix)
+    weight = np.einsum("rpb,pb->rp", patterns.matrix @ inverse, patterns.matrix)
     with np.errstate(invalid="ignore", divide="ignore"):
         score = np.where(weight > 0.0, over / np.sqrt(weight), 0.0)
         shift = np.where(weight > 0.0, over / weight, 0.0)
     step = datum[:, None, :] - datum[:, :, None]  # what beam a would gain if it had the datum of beam b
-    own = np.einsum("raa->ra", precision)
-    change = 2.0 * step * (pull[:, :, None] - pull[:, None, :])
-    change += step**2 * (own[:, :, None] + own[:, None, :] - 2.0 * precision)
+    own = np.einsum("raa->ra", inverse)
+    change = pull[:, None, :] - pull[:, :, None]
+    change *= step
+    change *= 2.0
+    apart = own[:, :, None] + own[:, None, :]
+    apart -= 2.0 * inverse
+    apart *= np.square(step, out=step)
+    change -= apart
     return Scores(
         np.asarray(np.einsum("rb,rb->r", residual, pull)),
         np.count_nonzero(used, axis=1),
         score,
         shift,
-        np.where(both, -change, -np.inf),
+        np.where(both, change, -np.inf),
     )
 
 

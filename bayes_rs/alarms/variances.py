@@ -42,12 +42,15 @@ class Expected:
         Covariance of the data for known flow.
     left : ndarray, shape (n_record, n_beam)
         What the best flow leaves of the data.
+    precision : ndarray, shape (n_record, n_beam, n_beam), optional
+        Inverse of `covariance`, where it is known.
     """
 
     residual: FloatArray
     slope: FloatArray
     noise: FloatArray
     left: FloatArray
+    precision: FloatArray | None = None
 
     def covariance(self, excess: float = 1.0) -> FloatArray:
         """Return the covariance of the residuals, noise times `excess`."""
@@ -101,20 +104,29 @@ def expected_variances(
     own = np.eye(used.shape[1]) * np.where(used, FLOOR**2, 1.0)[:, None, :]
     noise = np.where(both, log_covariance, 0.0) + own
     problem = _Problem(datum, used, gain, np.broadcast_to(offset, variance.shape), place * (GRADIENT_SD / 100.0))
-    theta = problem.best(noise)
+    weight = np.asarray(np.linalg.inv(noise), dtype=np.float64)
+    theta = problem.best(weight)
     residual, slope = problem.linear(theta)
     left = problem.left(theta)
-    precision = np.linalg.inv(noise + slope @ slope.swapaxes(-1, -2))
+    precision = _with_slope(weight, slope)
     far = np.abs(np.einsum("rab,rb->ra", precision, residual)) > _FAR * np.sqrt(np.einsum("raa->ra", precision))
     far &= used
     again = np.flatnonzero(far.any(axis=1))
     if len(again):
         some = problem.take(again)
         loose = noise[again] + np.eye(used.shape[1]) * np.where(far[again], _LOOSE, 0.0)[:, None, :]
-        theta = some.best(loose)
+        theta = some.best(np.asarray(np.linalg.inv(loose), dtype=np.float64))
         residual[again], slope[again] = some.linear(theta)
         left[again] = some.left(theta)
-    return Expected(residual, slope, noise, left)
+        precision[again] = _with_slope(weight[again], slope[again])
+    return Expected(residual, slope, noise, left, precision)
+
+
+def _with_slope(weight: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return (N + J Jᵀ)⁻¹ from N⁻¹, by the identity of Woodbury: a matrix of the size of the flow is inverted."""
+    lever = weight @ slope
+    inner = np.eye(slope.shape[-1]) + slope.swapaxes(-1, -2) @ lever
+    return np.asarray(weight - lever @ np.linalg.solve(inner, lever.swapaxes(-1, -2)))
 
 
 @dataclass(frozen=True)
@@ -130,9 +142,8 @@ class _Problem:
     def take(self, rows: NDArray[np.int64]) -> _Problem:
         return _Problem(self.datum[rows], self.used[rows], self.gain[rows], self.offset[rows], self.place)
 
-    def best(self, noise: FloatArray) -> FloatArray:
-        """Return the most probable coordinates, shape (n_record, 8)."""
-        weight = np.linalg.inv(noise)
+    def best(self, weight: FloatArray) -> FloatArray:
+        """Return the most probable coordinates, shape (n_record, 8), for noise whose inverse is `weight`."""
         theta = np.zeros((len(self.datum), ANY_AIR.n_coordinate + self.place.shape[1]))
         level = np.where(self.used, self.datum - self.model(theta[:, None])[:, 0], np.nan)
         known = np.isfinite(level).any(axis=1)  # none of a record whose variances have no logarithm

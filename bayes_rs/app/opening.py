@@ -32,6 +32,8 @@ from bayes_rs.records.record_files import open_records
 from bayes_rs.records.record_options import options_of_series
 from bayes_rs.result_folder import RUN_FILE
 from bayes_rs.spectra.radial_spectrum import radial_spectra
+from bayes_rs.wind.mast import add_mast, mast_of, mast_words
+from bayes_rs.wind.motion import add_motion, motion_words
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_object import Fit
@@ -225,11 +227,16 @@ def _open_files(path: Path, name: str, settings: Settings, scan: str) -> Opened:
         )
     own = with_found_scan(own, said.append)
     loaded = own.scan.load()
-    records = open_records(path, loaded)
-    if records is not None:
-        return _of_records(name, records, loaded, None, said)
-    series = read(list(own.files.files), loaded, **own.files.of_reading())
-    records = make_records(series, loaded, quality=own.quality, **options_of_series(own.records))
+    records, series = open_records(path, loaded), None
+    mast = mast_of(own.records, records, own.files)
+    if records is None:
+        series = read(list(own.files.files), loaded, **own.files.of_reading())
+        records = make_records(series, loaded, quality=own.quality, **options_of_series(own.records))
+    records = add_mast(add_motion(records, loaded, own.records, own.files), mast, own.records)
+    if own.records.motion:
+        said.append(motion_words(records, own.records))
+    if mast is not None:
+        said.append(mast_words(records))
     return _of_records(name, records, loaded, series, said)
 
 

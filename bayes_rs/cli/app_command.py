@@ -13,7 +13,7 @@ from bayes_rs.cli.options import GroupedCommand, Quantity, settings_of, settings
 
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, metavar="[FOLDER|FILES...]", type=click.Path())
-@settings_options("scan", "files", "records", "quality", without=("mast", "mast_position"))
+@settings_options("scan", "files", "records", "quality")
 @click.option(
     "--port",
     type=Quantity("port", minimum=0),

@@ -158,6 +158,8 @@ class RecordDraws:
         What was clipped to draw a sonic's tensor (`draw_sonic`); 0 for the other targets.
     noise : RecordNoise, optional
         The noise at the median of the records' length scales, where it was needed as a whole; not kept with others'.
+    posterior : Posterior, optional
+        What was sampled, of records with covariances: what their variances foretell is compared with it. Not kept, too.
     """
 
     chains: Chains
@@ -166,6 +168,7 @@ class RecordDraws:
     outside: NDArray[np.bool_]
     clipped: FloatArray
     noise: RecordNoise | None = None
+    posterior: Posterior | None = None
 
     def take(self, records: NDArray[np.int64]) -> RecordDraws:
         """Return the draws of some of the records."""
@@ -278,6 +281,7 @@ def _fit_whole(batch: Batch, noise: Noise, options: FitOptions, predict: bool) -
         at_record.outside,
         clipped,
         at_record,
+        None if batch.pairs is None else posterior,
     )
 
 
@@ -336,6 +340,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
     n_chain, n_draw, k = chains.coordinate.shape[1:]
     n_beam = batch.variance.shape[1]
     predicted = np.empty((len(batch), n_chain, n_draw // BLOCK, n_beam if predict else 0))
+    full: RecordNoise | None = None
     if predict:
         some = chains.coordinate[:, :, BLOCK - 1 :: BLOCK].reshape(len(batch), -1, k)
         expected = posterior.likelihood.expected(*posterior.seen(some))
@@ -349,6 +354,7 @@ def _fit_reduced(batch: Batch, bank: Noise, options: FitOptions, predict: bool) 
         predicted,
         outside,
         np.zeros(len(batch)),
+        full,
     )
 
 

@@ -15,6 +15,8 @@ from bayes_rs.geometry.stress import STRESSES, rotate_stress
 
 _NAMED = 0.25
 """Share of the largest coefficient from which on a stress is named in a direction."""
+_TOGETHER = 8
+"""Records whose draws are looked at together: they stay in the cache."""
 COLUMNS = ("record", "direction", "weight", "seen", "contraction", "contraction_shape", *STRESSES)
 
 
@@ -66,7 +68,10 @@ def prior_covariances(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def contraction_along(
-    vectors: FloatArray, posterior: FloatArray, yaw: FloatArray, of_prior: tuple[FloatArray, FloatArray]
+    vectors: FloatArray,
+    covariances: tuple[FloatArray, FloatArray],
+    yaw: FloatArray,
+    of_prior: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the contractions of R and of its shape along directions of R.
 
@@ -74,8 +79,8 @@ def contraction_along(
     ----------
     vectors : ndarray, shape (6, 6)
         The directions, one a row, in the lidar's frame.
-    posterior : ndarray, shape (n_record, n_draw, 6)
-        Draws, in the frame of each record's wind.
+    covariances : tuple of ndarray, shape (n_record, 6, 6)
+        Those of draws in the frame of each record's wind, and of their shape, from `covariances_of`.
     yaw : ndarray, shape (n_record,)
         Wind directions relative to the lidar's axis, rad.
     of_prior : tuple of ndarray, shape (6, 6)
@@ -89,11 +94,17 @@ def contraction_along(
     back = rotate_stress(np.eye(len(STRESSES)), yaw_matrix(-np.where(np.isfinite(yaw), yaw, 0.0))[:, None])
     along = vectors @ back.swapaxes(-1, -2)  # d in the mean-wind frame: (record, direction, 6)
     found = []
-    for draws, prior in zip((posterior, _shape(posterior)), of_prior, strict=True):
-        covariance = covariance_of(draws)
+    for covariance, prior in zip(covariances, of_prior, strict=True):
         spread = [((along @ matrix) * along).sum(axis=-1) for matrix in (covariance, prior)]
         found.append(np.asarray(1.0 - spread[0] / spread[1]))
     return found[0], found[1]
+
+
+def covariances_of(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the covariances, each (n_record, 6, 6), of draws of R (n_record, n_draw, 6), and of their shape."""
+    parts = [draws[first : first + _TOGETHER] for first in range(0, len(draws), _TOGETHER)]
+    found = [(covariance_of(some), covariance_of(_shape(some))) for some in parts]
+    return tuple(np.concatenate(matrices) for matrices in zip(*found, strict=True))  # type: ignore[return-value] # two
 
 
 def covariance_of(draws: FloatArray, ddof: int = 0) -> FloatArray:

@@ -15,13 +15,14 @@ from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.likelihoods.covariances import CovarianceLikelihood
 from bayes_rs.likelihoods.mixture import MixtureLikelihood
 from bayes_rs.noise.noise import Noise
+from bayes_rs.posteriors.posterior import Posterior
 
 _N_DRAW = 200  # draws of a record that tell what its variances leave open
 _N_PRIOR = 4096  # draws of the prior, for the covariance of its coordinates
 
 
 def variances_alone(
-    batch: Batch, noise: Noise, options: FitOptions
+    batch: Batch, noise: Noise, options: FitOptions, posterior: Posterior | None = None
 ) -> tuple[RecordDraws, dict[str, FloatArray], FloatArray]:
     r"""Sample records by the variances of their beams alone, and say how well these foretell what the fit uses beside.
 
@@ -33,6 +34,8 @@ def variances_alone(
         Of their beams.
     options : FitOptions
         Of the fit.
+    posterior : Posterior, optional
+        That of the fit of these records, where it is known.
 
     Returns
     -------
@@ -67,7 +70,8 @@ def variances_alone(
     if batch.pairs is None:
         raise InputError("There is nothing beside the variances to compare: fit with information 'covariances'.")
     draws = fit_batch(replace(batch, pairs=None), noise, replace(options, information="variances"), predict=False)
-    posterior = make_posterior(batch, noise, options)[0]
+    if posterior is None:
+        posterior = make_posterior(batch, noise, options)[0]
     likelihood = posterior.likelihood
     if isinstance(likelihood, MixtureLikelihood):
         likelihood = likelihood.parts[len(likelihood.parts) // 2]

@@ -25,7 +25,7 @@ from bayes_rs.fits.columns import (
     VARIANCES,
     pattern_columns,
 )
-from bayes_rs.fits.direction_table import contraction_along, covariance_of
+from bayes_rs.fits.direction_table import contraction_along, covariances_of
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.flags import FLAGS, flags_after
 from bayes_rs.fits.information import variances_alone
@@ -36,7 +36,9 @@ from bayes_rs.fits.summarizing import summarize_draws, summary_frame
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.noise.noise import Noise
 from bayes_rs.posteriors.decided import PriorRoom, what_data_decided
-from bayes_rs.posteriors.sampling.chains import N_CHAIN, kept_draws
+from bayes_rs.posteriors.posterior import Posterior
+from bayes_rs.posteriors.sampling.chains import N_CHAIN, Chains, kept_draws
+from bayes_rs.priors.interface import LogRatioPrior
 from bayes_rs.processor import processor_kind
 from bayes_rs.progress import note_done
 
@@ -143,7 +145,7 @@ def fit_part(shared: Shared, part: Part) -> Done:
             after, draws = _to_error(found, some, draws, part.batch, shared)
             flag[some] |= after
             if shared.keep_draws:
-                kept.append((part.record[some], replace(draws, noise=None)))
+                kept.append((part.record[some], replace(draws, noise=None, posterior=None)))
         note_done(len(wanted))
     if reasons:
         _log.warning(
@@ -234,9 +236,9 @@ def _to_error(
 
 def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Batch, shared: Shared) -> FloatArray:
     """Enter what the draws of some records tell; return the error of their numbers, as `monte_carlo_error`."""
-    chains = draws.chains
-    decided, learnt = what_data_decided(chains.stress, shared.room)
-    beside, error = least_squares_of(batch.take(rows), shared.level, shared.noise, shared.options, draws.noise)
+    chains, some = draws.chains, batch.take(rows)
+    decided, learnt = what_data_decided(chains.stress, shared.room, _log_ratios(chains, some, shared))
+    beside, error = least_squares_of(some, shared.level, shared.noise, shared.options, draws.noise)
     known = {
         "ess_bulk": chains.ess_bulk,
         "ess_tail": chains.ess_tail,
@@ -251,11 +253,12 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     )
     found.put(found.summary, rows, summary)
     if shared.alone:
-        _put_alone(found, rows, known, batch, shared)
+        _put_alone(found, rows, known, batch, shared, draws.posterior)
     error = monte_carlo_error(summary)
     flat = chains.stress.reshape(len(rows), -1, len(STRESSES))
-    matrix = covariance_of(flat, ddof=1)
-    along, of_shape = contraction_along(shared.vectors, flat, batch.yaw[rows], shared.prior_covariances)
+    covariances = covariances_of(flat)
+    matrix = covariances[0] * (flat.shape[1] / (flat.shape[1] - 1.0))
+    along, of_shape = contraction_along(shared.vectors, covariances, batch.yaw[rows], shared.prior_covariances)
     numbers = {
         "stresses_learnt": learnt,
         "acceptance_rate": chains.acceptance,
@@ -275,14 +278,28 @@ def _put(found: _Columns, rows: NDArray[np.int64], draws: RecordDraws, batch: Ba
     return error
 
 
+def _log_ratios(chains: Chains, batch: Batch, shared: Shared) -> tuple[FloatArray, FloatArray] | None:
+    """Return the draws as coordinates of logarithms and correlations, and their spread, where the prior has such."""
+    prior = batch.prior(shared.options)
+    if shared.options.target == "sonic" or not isinstance(prior, LogRatioPrior):
+        return None
+    return chains.coordinate[..., : prior.n_coordinate], prior.spread
+
+
 def _put_alone(
-    found: _Columns, rows: NDArray[np.int64], known: dict[str, FloatArray], batch: Batch, shared: Shared
+    found: _Columns,
+    rows: NDArray[np.int64],
+    known: dict[str, FloatArray],
+    batch: Batch,
+    shared: Shared,
+    posterior: Posterior | None,
 ) -> None:
     """Enter what the variances of some records say by themselves, and how well they foretell the covariances."""
     options = shared.options
-    draws, misfit, pattern = variances_alone(batch.take(rows), shared.noise, options)
+    some = batch.take(rows)
+    draws, misfit, pattern = variances_alone(some, shared.noise, options, posterior)
     chains = draws.chains
-    decided, _ = what_data_decided(chains.stress, shared.room)
+    decided, _ = what_data_decided(chains.stress, shared.room, _log_ratios(chains, some, shared))
     diagnosed = {"ess_bulk": chains.ess_bulk, "ess_tail": chains.ess_tail, "r_hat": chains.r_hat, "decided": decided}
     summary = summarize_draws(
         chains.stress,
@@ -342,11 +359,11 @@ def _draws_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) 
     """Lay out draws (n_record, n_chain, n_draw, 6), and those of the nuisances, one row a draw."""
     _, n_chain, n_draw, _ = draws.chains.stress.shape
     kind = shared.options.draws_type
-    flat = draws.chains.stress.reshape(-1, len(STRESSES)).astype(kind)
+    by_stress = np.moveaxis(draws.chains.stress, -1, 0)  # each in a row in memory, record by record
     return pd.DataFrame(
         {
             **_places(record, n_chain, n_draw),
-            **{name: flat[:, index] for index, name in enumerate(STRESSES)},
+            **{name: some.astype(kind).reshape(-1) for name, some in zip(STRESSES, by_stress, strict=True)},
             **{name: values.reshape(-1).astype(kind) for name, values in draws.nuisances.items()},
         }
     )

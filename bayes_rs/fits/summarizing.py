@@ -42,6 +42,8 @@ COLUMNS: tuple[str, ...] = (
     "flag",
 )
 DIAGNOSTICS = ("ess_bulk", "ess_tail", "r_hat")
+_TOGETHER = 8
+"""Records whose moments are calculated together: their draws stay in the cache."""
 OF_RECORD = ("decided", "least_squares", "least_squares_se")
 """What is known of a record's stresses whatever the interval."""
 
@@ -89,12 +91,7 @@ def summarize_draws(
         for name in DIAGNOSTICS:
             own = getattr(found, name)
             diagnosed[name] = np.concatenate([diagnosed[name], own], axis=1) if fresh is not by_quantity else own
-    mean = ordered.mean(axis=-1)
-    centred = ordered - mean[..., None]
-    square = centred * centred
-    variance = square.mean(axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal have no kurtosis
-        kurtosis = np.einsum("rqd,rqd->rq", square, square) / (ordered.shape[-1] * variance**2)
+    mean, variance, kurtosis = _moments(ordered)
     low, high = interval_of_ordered(ordered, prob, interval)
     below, above = interval_levels(ordered, prob, interval)
     bulk, tail = diagnosed["ess_bulk"], diagnosed["ess_tail"]
@@ -113,6 +110,19 @@ def summarize_draws(
         "mcse_high": diagnostics.quantile_error(ordered, above, tail),
         **diagnosed,
     }
+
+
+def _moments(draws: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return means, variances over n and kurtosis, each (n_record, n_quantity), of draws (n_record, n_quantity, n)."""
+    mean, square, fourth = draws.mean(axis=-1), np.empty(draws.shape[:-1]), np.empty(draws.shape[:-1])
+    for first in range(0, len(draws), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        centred = draws[some] - mean[some, :, None]
+        np.square(centred, out=centred)
+        square[some] = centred.mean(axis=-1)
+        fourth[some] = np.einsum("rqd,rqd->rq", centred, centred)
+    with np.errstate(invalid="ignore", divide="ignore"):  # draws that are all equal have no kurtosis
+        return mean, square, fourth / (draws.shape[-1] * square**2)
 
 
 def _of_record(known: dict[str, FloatArray], derived: Sequence[str], n_record: int) -> dict[str, FloatArray]:

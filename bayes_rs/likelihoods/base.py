@@ -13,6 +13,7 @@ from scipy.special import gammaln
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, NotPositiveDefiniteError
 from bayes_rs.geometry.forward import RANK_TOLERANCE
+from bayes_rs.priors.interface import sum_of_squares
 
 REFERENCE_STRESS = np.array([1.0, 0.5, 0.27, 0.0, -0.15, 0.0])
 """Shape of R at which the data are reduced: near neutral flow. Another choice moves weight between beams, not truth."""
@@ -118,9 +119,12 @@ class NormalLikelihood(Likelihood):
         """
         with np.errstate(invalid="ignore"):
             residual, log_factor = self._whiten(stress, offset, gradient)
-            square = np.sum(residual * residual, axis=-1)
-            density = log_factor - half_square(square, self.n_datum, self.dof)
-        return np.where(np.isfinite(density), density, -np.inf)
+            square = sum_of_squares(residual)
+            density = np.asarray(log_factor - half_square(square, self.n_datum, self.dof))
+        known = np.isfinite(density)
+        if not known.all():
+            density[~known] = -np.inf
+        return density
 
     def whitened_residual(
         self, stress: FloatArray, offset: FloatArray | None = None, gradient: FloatArray | None = None

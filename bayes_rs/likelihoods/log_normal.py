@@ -94,7 +94,8 @@ class LogNormalLikelihood(NormalLikelihood):
                 mean = self.gain[part] @ components[part, :, draws]
                 if self.place is not None and gradient is not None:
                     mean *= np.exp(self.place[part] @ gradient[part, draws].swapaxes(-1, -2))
-                mean += self.offset[part, :, None]
+                if self.offset[part].any():
+                    mean += self.offset[part, :, None]
                 if offset is not None:
                     mean += offset[part, None, draws]
                 with np.errstate(invalid="ignore", divide="ignore"):  # see NormalLikelihood

@@ -22,8 +22,8 @@ PRIOR_BELOW = 0.5
 """Share below which the prior decided more of a number than the data did."""
 PRIORS = "mostly the prior's: the data decided less than half"
 """What a legend says of such numbers."""
-_BATCH = 32
-"""Records whose draws are looked at together."""
+_BATCH = 16
+"""Records whose draws are looked at together: they stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,9 @@ def is_priors(decided: ArrayLike) -> NDArray[np.bool_]:
     return ~(np.asarray(decided, dtype=np.float64) >= PRIOR_BELOW)
 
 
-def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
+def what_data_decided(
+    stress: FloatArray, prior: PriorRoom, log_ratios: tuple[FloatArray, FloatArray] | None = None
+) -> tuple[FloatArray, FloatArray]:
     r"""Return how far the data decided each stress, and how many stresses they told.
 
     Parameters
@@ -113,6 +115,9 @@ def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray,
         Draws of posteriors, m² s⁻²; n_chain a multiple of four, chains of one independent ensemble are neighbours.
     prior : PriorRoom
         Of the prior that they are compared with.
+    log_ratios : tuple of ndarray, optional
+        The same draws as x less something, over so much, of shape (6,): coordinates and spread of a `LogRatioPrior`.
+        Where they are known, the stresses need not be turned back.
 
     Returns
     -------
@@ -144,33 +149,38 @@ def what_data_decided(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray,
     zero where it comes out below. With n effective draws the standard error of a share near 0 is about 1/√n, that of a
     share near 1 about that of its posterior's logarithm over r times n^(-1/2), and that of learnt √(2 Σ λ²/n).
     """
-    found = [_of_some(stress[first : first + _BATCH], prior) for first in range(0, len(stress), _BATCH)]
+    parts = [slice(first, first + _BATCH) for first in range(0, len(stress), _BATCH)]
+    inner, spread = (None, np.ones(len(STRESSES))) if log_ratios is None else log_ratios
+    found = [_of_some(stress[some], None if inner is None else inner[some], spread, prior) for some in parts]
     decided, learnt = zip(*found, strict=True)
     return np.concatenate(decided), np.concatenate(learnt)
 
 
-def _of_some(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArray]:
+def _of_some(
+    stress: FloatArray, inner: FloatArray | None, spread: FloatArray, prior: PriorRoom
+) -> tuple[FloatArray, FloatArray]:
     """Return the same of so few records that their draws stay in the cache."""
     n_stress = len(STRESSES)
     of_ensemble = stress.reshape(len(stress), N_ENSEMBLE, -1, n_stress)
     n_draw = of_ensemble.shape[2]
+    scale = np.concatenate([spread, np.ones(3)])
     # all that is needed are moments of x and of the covariances uv, uw, vw: ln vv and ln ww are sums of x
     joint = np.empty((len(stress), n_stress + 3, N_ENSEMBLE, n_draw))
     columns = np.moveaxis(joint, 1, -1)
     with np.errstate(invalid="ignore", divide="ignore"):  # tensors at the edge by rounding: NaN
-        columns[..., :n_stress] = log_ratios_from_stress(of_ensemble)
+        if inner is None:
+            log_ratios_from_stress(of_ensemble, out=columns[..., :n_stress])
+        else:
+            columns[..., :n_stress] = inner.reshape(of_ensemble.shape)
         columns[..., n_stress:] = of_ensemble[..., 3:]
-        size = np.stack(
-            [
-                np.sqrt(of_ensemble[..., row] * of_ensemble[..., column]).mean(axis=(1, 2))
-                for row, column in zip(_ROWS, _COLUMNS, strict=True)
-            ],
-            axis=-1,
-        )
+        root = np.sqrt(np.moveaxis(of_ensemble[..., :3], -1, 1).reshape(len(stress), 3, -1))
+        size = (root @ root.swapaxes(-1, -2))[:, _ROWS, _COLUMNS] / root.shape[-1]
         mean = joint.mean(axis=-1)  # (record, quantity, ensemble)
         joint -= mean[..., None]
+        mean = scale[:, None] * mean
         centred = joint.swapaxes(1, 2)
-        covariance = centred @ centred.swapaxes(-1, -2) / (n_draw - 1.0)  # (record, ensemble, quantity, quantity)
+        covariance = centred @ centred.swapaxes(-1, -2)  # (record, ensemble, quantity, quantity)
+        covariance *= scale[:, None] * scale / (n_draw - 1.0)
         of_inner = covariance[:, :, :n_stress]
         logarithms = of_inner[..., _LOGARITHM[0]] + np.where(_ADDED, of_inner[..., _LOGARITHM[1]], 0.0)
         relative = of_inner[..., n_stress:] / size[:, None, None, :]
@@ -184,5 +194,5 @@ def _of_some(stress: FloatArray, prior: PriorRoom) -> tuple[FloatArray, FloatArr
         apart = mean[:, :n_stress] - mean[:, :n_stress].mean(axis=-1, keepdims=True)
         whole = (n_draw - 1.0) * of_inner[..., :n_stress].sum(axis=1) + n_draw * apart @ apart.swapaxes(-1, -2)
         whole /= N_ENSEMBLE * n_draw - 1.0
-        spread = np.einsum("kp,rkl,lp->r", prior.standard, whole, prior.standard, optimize=False)
-    return 1.0 - np.maximum(of_size, of_shape), prior.standard.shape[1] - spread
+        total = np.einsum("kp,rkl,lp->r", prior.standard, whole, prior.standard, optimize=False)
+    return 1.0 - np.maximum(of_size, of_shape), prior.standard.shape[1] - total

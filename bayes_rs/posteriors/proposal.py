@@ -58,7 +58,7 @@ class StudentProposal:
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density, shape (n_record, n_draw), at coordinates (n_record, n_draw, n)."""
         whitened = self.factor @ (coordinate - self.mode[:, None, :]).swapaxes(-1, -2)
-        return self.log_density_at(np.sum(whitened * whitened, axis=-2))
+        return self.log_density_at(np.einsum("rkd,rkd->rd", whitened, whitened))
 
     def log_density_of(self, normal: FloatArray, chi_square: FloatArray) -> FloatArray:
         """Return the log-density, shape (n_record, n_draw), of the draws that `transform` makes of these numbers."""

@@ -102,17 +102,38 @@ class Prior(ABC):
         return self
 
 
+def _like(coordinate: FloatArray) -> FloatArray:
+    """Return an empty array of the shape of coordinates (..., 6), each of the six a run of numbers unless all six are.
+
+    Of many draws of several records what is calculated of one of the six then takes half of the time.
+    """
+    if coordinate.strides[-1] == coordinate.itemsize:
+        return np.empty_like(coordinate, dtype=np.float64)
+    return np.moveaxis(np.empty((coordinate.shape[-1], *coordinate.shape[:-1])), 0, -1)
+
+
+def sum_of_squares(values: FloatArray) -> FloatArray:
+    """Return Σ v² over the last axis, to the last bit NumPy's sum; where another axis is a run, without a copy."""
+    if values.strides[-1] == values.itemsize:
+        return np.asarray(np.sum(values * values, axis=-1))
+    return np.asarray(np.einsum("...k,...k->...", values, values))
+
+
 class NormalPrior(Prior):
     """A prior whose coordinates are independent and standard normal: all of its content is in the map."""
 
     def log_density(self, coordinate: FloatArray) -> FloatArray:
         """Return the log-density of the coordinates, which are independent and standard normal."""
-        square = np.sum(coordinate * coordinate, axis=-1, dtype=np.float64)
+        square = sum_of_squares(np.asarray(coordinate, dtype=np.float64))
         return np.asarray(-0.5 * square - 0.5 * self.n_coordinate * np.log(2.0 * np.pi))
 
     def draw_coordinate(self, n_draw: int, rng: np.random.Generator) -> FloatArray:
         """Draw coordinates from the prior."""
         return rng.standard_normal((n_draw, self.n_coordinate))
+
+
+_HALF_LOGARITHMS = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+"""Those of standard deviations, in place of variances."""
 
 
 class LogRatioPrior(NormalPrior):
@@ -144,14 +165,12 @@ class LogRatioPrior(NormalPrior):
 
 
 def _stress_of_ratios(coordinate: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
-    inner = spread * coordinate  # keeps the layout in memory: components may come first there
-    inner += centre
-    log_uu, rho = inner[..., 0], inner[..., 3:]
-    log_vv, log_ww = inner[..., 1], inner[..., 2]
-    log_vv += log_uu
-    log_ww += log_uu
-    np.tanh(rho, out=rho)
-    return stress_from_correlations(log_uu, log_vv, log_ww, rho, out=np.empty_like(inner))
+    inner = np.multiply(spread * _HALF_LOGARITHMS, coordinate, out=_like(coordinate))
+    inner += centre * _HALF_LOGARITHMS
+    inner[..., 1] += inner[..., 0]
+    inner[..., 2] += inner[..., 0]
+    sd, rho = inner[..., :3], inner[..., 3:]
+    return _stress_from_deviations(np.exp(sd, out=sd), np.tanh(rho, out=rho), _like(inner))
 
 
 @lru_cache(maxsize=64)
@@ -170,34 +189,39 @@ def log_ratios(stress: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([np.log(uu), np.log(vv / uu), np.log(ww / uu)], axis=-1), fisher], axis=-1)
 
 
-def stress_from_correlations(
-    log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray, *, out: FloatArray | None = None
-) -> FloatArray:
+def stress_from_correlations(log_uu: FloatArray, log_vv: FloatArray, log_ww: FloatArray, rho: FloatArray) -> FloatArray:
     """Build stresses from log-variances and (ρ_uv, ρ_uw, partial ρ_vw·u); realizable for every |ρ| ≤ 1."""
+    sd = np.exp(0.5 * np.stack([log_uu, log_vv, log_ww], axis=-1))
+    return _stress_from_deviations(sd, rho, np.empty((*log_uu.shape, N_COORDINATE)))
+
+
+def _stress_from_deviations(sd: FloatArray, rho: FloatArray, out: FloatArray) -> FloatArray:
+    """Build stresses from standard deviations of u, v, w, (..., 3), and what `stress_from_correlations` takes."""
+    sd_u, sd_v, sd_w = sd[..., 0], sd[..., 1], sd[..., 2]
     rho_uv, rho_uw, partial = rho[..., 0], rho[..., 1], rho[..., 2]
-    stress = np.empty((*log_uu.shape, N_COORDINATE)) if out is None else out
-    uu, vv, ww, uv, uw, vw = (stress[..., index] for index in range(N_COORDINATE))
-    sd_u, sd_v, sd_w = (np.exp(0.5 * half) for half in (log_uu, log_vv, log_ww))
-    np.sqrt((1.0 - rho_uv * rho_uv) * (1.0 - rho_uw * rho_uw), out=vw)
+    uu, vv, ww, uv, uw, vw = (out[..., index] for index in range(N_COORDINATE))
+    for correlation, rest in ((rho_uv, vw), (rho_uw, uw)):
+        np.subtract(1.0, np.multiply(correlation, correlation, out=rest), out=rest)
+    np.sqrt(np.multiply(vw, uw, out=vw), out=vw)
     np.multiply(vw, partial, out=vw)
     np.add(vw, np.multiply(rho_uv, rho_uw, out=uv), out=vw)  # ρ_vw
-    np.multiply(vw, sd_v * sd_w, out=vw)
+    np.multiply(vw, np.multiply(sd_v, sd_w, out=uv), out=vw)
     np.multiply(rho_uv, np.multiply(sd_u, sd_v, out=uv), out=uv)
     np.multiply(rho_uw, np.multiply(sd_u, sd_w, out=uw), out=uw)
-    for sd, variance in ((sd_u, uu), (sd_v, vv), (sd_w, ww)):
-        np.multiply(sd, sd, out=variance)
-    return stress
+    for one, variance in ((sd_u, uu), (sd_v, vv), (sd_w, ww)):
+        np.multiply(one, one, out=variance)
+    return out
 
 
-def log_ratios_from_stress(stress: FloatArray) -> FloatArray:
-    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (..., 6).
+def log_ratios_from_stress(stress: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """Return ln uu, ln vv/uu, ln ww/uu, artanh of ρ_uv, ρ_uw and of the partial ρ_vw·u, shape (..., 6); into `out`.
 
     That is the inverse of `stress_from_correlations`. What is not realizable, or is at the edge, is not finite.
     """
     uu, _, _, uv, uw, vw = (stress[..., index] for index in range(N_COORDINATE))
     root = np.sqrt(stress[..., :3])
     sd_u, sd_v, sd_w = root[..., 0], root[..., 1], root[..., 2]
-    found = np.empty_like(stress)  # keeps the layout in memory
+    found = np.empty_like(stress) if out is None else out  # keeps the layout in memory
     rho_uv, rho_uw, partial = found[..., 3], found[..., 4], found[..., 5]
     np.divide(uv, sd_u * sd_v, out=rho_uv)
     np.divide(uw, sd_u * sd_w, out=rho_uw)

@@ -14,7 +14,7 @@ from bayes_rs.spectra.octave_theory import OctaveTheory, length_nodes
 MOST_SHARE = 0.97
 """Largest share of a beam's variance that is taken for the instrument's noise."""
 _LEAST = 1e-9  # of a beam's variance: octaves that are nothing but rounding
-_RECORDS = 256  # at a time
+_RECORDS = 32  # at a time, so that what is calculated of them stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Octaves:
         n_sample = theory.blocks.n_sample
         filled = theory.blocks.filled(np.clip(self.count / n_sample, 1.0 / n_sample, 1.0))
         dof = np.diff(filled)  # (n_record, n_beam, n_octave)
-        white = (dof / dof.sum(axis=-1, keepdims=True))[:, :, np.newaxis]
+        white = dof / dof.sum(axis=-1, keepdims=True)
         shape = theory.expected(theory.correlation(self.wind_speed, self.yaw), filled[:, :, np.newaxis])
         shape /= shape.sum(axis=-1, keepdims=True)  # of the variance of a record, without what is slower than it
         total = np.sum(self.energy, axis=-1)
@@ -111,16 +111,24 @@ class Octaves:
         half = np.where(sound[..., np.newaxis], 0.5 * dof, 0.0)
         all_half = half.sum(axis=-1)
         relative = np.where(sound[..., np.newaxis], self.energy / np.where(sound, total, 1.0)[..., np.newaxis], 0.0)
-        weighted = half * relative
         of_beam = np.nan_to_num(self.variance)[:, np.newaxis] / np.where(sound, total, 1.0)
-        density = np.empty((*share.shape, shape.shape[2]))
+        # octaves come first and beams last, so that sums and factors run along many numbers
+        shape = np.ascontiguousarray(np.transpose(shape, (3, 2, 0, 1)))  # (n_octave, n_length, n_record, n_beam)
+        parts = (white, half, half * relative)
+        white, half, weighted = (np.moveaxis(one, -1, 0)[:, np.newaxis].copy() for one in parts)
+        density = np.empty((*share.shape, shape.shape[1]))
+        mean, other = np.empty_like(shape), np.empty_like(shape)
         for index in range(share.shape[1]):
-            part = np.clip(share[:, index, np.newaxis] * of_beam, 0.0, MOST_SHARE)[..., np.newaxis, np.newaxis]
-            mean = np.maximum((1.0 - part) * shape + part * white, _LEAST)  # (…, n_length, n_octave)
-            size = np.einsum("rbo,rbno->rbn", weighted, np.reciprocal(mean))
-            log_size = np.log(np.where(sound[..., np.newaxis], size, 1.0))
-            log_mean = np.einsum("rbo,rbno->rbn", half, np.log(mean))
-            density[:, index] = -np.sum(log_mean + all_half[..., np.newaxis] * log_size, axis=1)
+            part = np.clip(share[:, index, np.newaxis] * of_beam, 0.0, MOST_SHARE)
+            np.multiply(1.0 - part, shape, out=mean)
+            mean += part * white
+            np.maximum(mean, _LEAST, out=mean)
+            size = np.add.reduce(np.divide(weighted, mean, out=other))
+            log_mean = np.log(mean, out=mean)
+            log_mean *= half
+            found = np.add.reduce(log_mean)
+            found += all_half * np.log(np.where(sound, size, 1.0))
+            np.negative(found.sum(axis=-1).T, out=density[:, index])
         return density
 
 

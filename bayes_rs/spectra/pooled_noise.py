@@ -10,7 +10,7 @@ import scipy
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.processor import one_thread
-from bayes_rs.spectra.octave_likelihood import Octaves, log_sum
+from bayes_rs.spectra.octave_likelihood import Octaves
 from bayes_rs.spectra.octave_theory import length_nodes
 
 MOST_RECORDS = 200
@@ -33,6 +33,8 @@ _LIGHT = 1e-4
 _REACH = 3.0  # standard deviations of a record's noise that are looked at
 _KEPT = 48  # records at most whose likelihoods are kept: more than the memory of a stream has
 _PLACES = 8  # so many times that: a stream of several ranges has such a memory at each, and they take turns; 25 MB
+_LEAST = -300.0  # logarithm of densities over their maximum: products of three are no denormal numbers, which are slow
+_HYPERS = 128  # hyperparameters at a time, so that what is calculated of a record stays in the cache
 _NODES = (7, 45, 25)  # at least; at most of few records and of many, of whom little is told only if each tells little
 
 
@@ -129,11 +131,24 @@ def pool_noise(octaves: Octaves, *, median: float, log_sd: float) -> PooledNoise
 
 def _density(octaves: Octaves) -> FloatArray:
     """Return the likelihood of each record at the fine nodes of ln share and ln L, over its maximum."""
-    node, length = _steps(_SHARES, _NODE), length_nodes()
-    found = octaves.log_likelihood(np.broadcast_to(np.exp(node), (len(octaves), len(node))))
-    between = scipy.interpolate.CubicSpline(node, found, axis=1)(_steps(_SHARES, _FINE))
-    between = scipy.interpolate.CubicSpline(length, between, axis=2)(_steps(length[[0, -1]], _LENGTH_FINE))
-    return np.asarray(np.exp(between - between.max(axis=(1, 2), keepdims=True)))
+    share = np.exp(_steps(_SHARES, _NODE))
+    found = octaves.log_likelihood(np.broadcast_to(share, (len(octaves), len(share))))
+    of_share, of_length = _splines()
+    between = of_share @ found @ of_length.T
+    between -= between.max(axis=(1, 2), keepdims=True)
+    return np.asarray(np.exp(np.maximum(between, _LEAST)))
+
+
+@lru_cache(maxsize=1)
+def _splines() -> tuple[FloatArray, FloatArray]:
+    """Return the matrices of the cubic splines from the nodes of ln share, and of ln L, to the fine ones."""
+    share, length = _steps(_SHARES, _NODE), length_nodes()
+    fine = (_steps(_SHARES, _FINE), _steps(length[[0, -1]], _LENGTH_FINE))
+    of_share, of_length = (
+        np.asarray(scipy.interpolate.CubicSpline(node, np.eye(len(node)))(at))
+        for node, at in zip((share, length), fine, strict=True)
+    )
+    return of_share, of_length
 
 
 class _Record:
@@ -177,7 +192,7 @@ def _steps(ends: FloatArray, step: float) -> FloatArray:
 def _length_hypers(node: FloatArray, median: float, log_sd: float) -> tuple[FloatArray, FloatArray]:
     """Return distributions of ln L at nodes, (n_hyper, n_length), and the logarithms of their weights."""
     centre, spread = (axis.ravel() for axis in np.meshgrid(node[4:-4], _LENGTH_SPREADS, indexing="ij"))
-    density = np.exp(-0.5 * ((node - centre[:, np.newaxis]) / spread[:, np.newaxis]) ** 2)
+    density = np.exp(np.maximum(-0.5 * ((node - centre[:, np.newaxis]) / spread[:, np.newaxis]) ** 2, _LEAST))
     width = np.sqrt(np.maximum(log_sd**2 - spread**2, 0.25 * log_sd**2))
     return density / density.sum(axis=1, keepdims=True), -0.5 * ((centre - np.log(median)) / width) ** 2 - np.log(width)
 
@@ -193,27 +208,43 @@ def _posterior(
     """Return the weights of hyperparameters, (n_hyper,), and without each record, (n_record, n_hyper)."""
     centre, power, spread = hyper
     of_length, log_prior_of_length = lengths
+    n_record, n_hyper = len(density), len(centre)
     share = np.exp(centre)
     log_prior = np.log(share / (share + _SHARE)) - 0.5 * share * usual / _SCALE**2
-    total = log_prior[:, np.newaxis] + log_prior_of_length  # (n_hyper, n_length_hyper)
-    evidence: list[FloatArray] = []
-    for one, at in zip(density, size, strict=True):
-        expected = centre + (power - 1.0) * at
-        prior = fine - expected[:, np.newaxis]
-        prior /= spread[:, np.newaxis]
-        np.square(prior, out=prior)
-        prior *= -0.5
-        np.exp(prior, out=prior)
-        prior /= np.maximum(prior.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        of_record = prior @ one @ of_length.T
-        np.maximum(of_record, np.finfo(np.float64).tiny, out=of_record)
-        evidence.append(np.log(of_record, out=of_record))
-        total += of_record
-    weight = _normalised(total)
-    own = [_normalised(total - one) for one in evidence]
-    return weight, np.array(own).reshape(len(own), len(centre))
+    weight, own, top = np.empty(n_hyper), np.empty((n_record, n_hyper)), np.empty(n_hyper)
+    for first in range(0, n_hyper, _HYPERS):
+        some = slice(first, first + _HYPERS)
+        total = log_prior[some, np.newaxis] + log_prior_of_length  # (n_some, n_length_hyper)
+        evidence = np.empty((n_record, *total.shape))
+        work = np.empty(total.shape)
+        for one, at, found in zip(density, size, evidence, strict=True):
+            prior = _normal(fine, centre[some] + (power[some] - 1.0) * at, spread[some])
+            of_share = prior @ one
+            of_share /= prior.sum(axis=1, keepdims=True)
+            np.matmul(of_share, of_length.T, out=found)
+            total += np.log(found, out=work)
+        top[some] = total.max()
+        total -= total.max()
+        np.exp(total, out=total)
+        total.sum(axis=1, out=weight[some])
+        for found, without in zip(evidence, own, strict=True):
+            np.divide(total, found, out=work).sum(axis=1, out=without[some])
+    scale = np.exp(top - top.max()) if n_hyper else top
+    return _normalised(weight * scale), _normalised(own * scale)
 
 
-def _normalised(log_weight: FloatArray) -> FloatArray:
-    of_hyper = log_sum(log_weight)
-    return np.asarray(np.exp(of_hyper - log_sum(of_hyper[np.newaxis])))
+def _normal(fine: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return normal densities of ln share at the fine nodes, (n_hyper, n_share), over the largest among them."""
+    apart = fine - centre[:, np.newaxis]
+    apart *= apart
+    apart *= (-0.5 / spread**2)[:, np.newaxis]
+    outside = centre - np.clip(centre, fine[0], fine[-1])
+    if outside.any():
+        apart += (0.5 * (outside / spread) ** 2)[:, np.newaxis]
+    np.maximum(apart, _LEAST, out=apart)
+    return np.exp(apart, out=apart)
+
+
+def _normalised(weight: FloatArray) -> FloatArray:
+    relative = weight / weight.max(axis=-1, keepdims=True)
+    return np.asarray(relative / relative.sum(axis=-1, keepdims=True))

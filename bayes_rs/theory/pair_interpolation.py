@@ -296,4 +296,4 @@ def _matern(one: FloatArray, other: FloatArray, *, single: bool = False) -> Floa
     factor += 1.0
     np.negative(distance, out=distance)
     factor *= np.exp(distance, out=distance)
-    return factor
+    return np.asarray(factor)

@@ -189,10 +189,11 @@ def combine(weights: FloatArray, values: FloatArray) -> FloatArray:
     """
     combined = np.zeros((len(weights), *values.shape[1:]))
     states = np.flatnonzero(weights.any(axis=0))
-    if len(weights) <= len(states):  # few points: each by itself, its states one after the other, as below
+    many = values[0].size > _FEW_NUMBERS
+    if many or len(weights) <= len(states):  # each point by itself, its states one after the other, as below
         for row, own in enumerate(weights):
             some = np.flatnonzero(own)
-            if combined[row].size > _FEW_NUMBERS:
+            if many:
                 for state in some:
                     combined[row] += own[state] * values[state]
             elif len(some):

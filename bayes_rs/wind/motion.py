@@ -201,6 +201,12 @@ def add_motion(
     return with_motion(records, motion, scan)
 
 
+def motion_words(records: xr.Dataset, options: RecordOptions) -> str:
+    """Say where tilt and roll are from, and how many records have none."""
+    without = int((records["motion_count"] == 0).sum())
+    return f"tilt and roll from {len(options.motion)} files; {without} records without"
+
+
 def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
     """Give each record its own mean tilt and roll, and the mean wind that its beams then see.
 

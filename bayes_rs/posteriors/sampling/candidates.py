@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -143,6 +144,33 @@ class Candidates:
             [part[records] for part in self.log_density],
             [part[records] for part in self.stress],
         )
+
+
+def joined(parts: Sequence[Candidates], posterior: Posterior) -> Candidates:
+    """Return the candidates of several groups of records, with as many rounds each, and their posterior as one."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def rounds(name: str) -> list[FloatArray]:
+        return [np.concatenate(each) for each in zip(*(getattr(part, name) for part in parts), strict=True)]
+
+    proposals = [
+        StudentProposal(
+            np.concatenate([one.mode for one in each]),
+            np.concatenate([one.factor for one in each]),
+            max(one.n_iteration for one in each),
+        )
+        for each in zip(*(part.proposals for part in parts), strict=True)
+    ]
+    return Candidates(
+        posterior,
+        np.concatenate([part.rotation for part in parts]),
+        parts[0].seed,
+        proposals,
+        rounds("coordinate"),
+        rounds("log_density"),
+        rounds("stress"),
+    )
 
 
 def _joined(rounds: list[FloatArray]) -> FloatArray:

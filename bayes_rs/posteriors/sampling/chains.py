@@ -88,6 +88,16 @@ class Chains:
             self.coordinate[record] = some.reshape(self.coordinate.shape[1:])
             self.stress[record] = tensors.reshape(self.stress.shape[1:])
 
+    def pick_draws(
+        self, records: NDArray[np.int64], coordinate: FloatArray, stress: FloatArray, index: NDArray[np.int64]
+    ) -> None:
+        """Enter draws of some records that are picked by index (n, n_draw) from (n, k, …) and (n, 6, …) others."""
+        for into, source in ((self.coordinate, coordinate), (self.stress, stress)):
+            rows = np.moveaxis(into, -1, 1)  # how they are in memory
+            for record, one, picked in zip(records, source.reshape(*source.shape[:2], -1), index, strict=True):
+                # all are inside; a mode makes it quick
+                np.take(one, picked, axis=1, out=rows[record].reshape(len(one), -1), mode="clip")
+
     def take(self, records: NDArray[np.int64]) -> Chains:
         """Return the draws of some of the records."""
         return Chains(**{name: getattr(self, name)[records] for name in self.__dataclass_fields__})

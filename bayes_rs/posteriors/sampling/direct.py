@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.posteriors.proposal import laplace_proposal
-from bayes_rs.posteriors.sampling.candidates import Candidates, resampled
+from bayes_rs.posteriors.sampling.candidates import Candidates, joined, resampled
 from bayes_rs.posteriors.sampling.chains import N_CHAIN, N_ENSEMBLE, Chains, empty_chains, kept_draws, records_together
 from bayes_rs.posteriors.sampling.effort import Effort
 from bayes_rs.posteriors.sampling.pareto import pareto_k
@@ -66,70 +68,104 @@ def sample_direct(posterior: Posterior, *, streams: RecordStreams, effort: Effor
     rotation = rotations(streams, everyone, N_ENSEMBLE, k)
     chains = empty_chains(n_record, n_draw, k, "direct")
     batch = records_together(n_draw)
+    rest = _Rest(posterior, streams, effort, chains, [[] for _ in range(effort.max_extension)])
     for start in range(0, n_record, batch):
         records = everyone[start : start + batch]
         found = Candidates(posterior.take(records), rotation[records], effort.seed)
         found.draw(proposal.take(records), min(size // PILOT, MOST_PILOT))
         found.draw(found.fitted(), size - found.total_size)
-        _keep(found, records, streams, chains)
-        _draw_more(found, records, streams, chains, effort, 1)
+        rest.keep(found, records, 0)
+    rest.finish()
     return chains
 
 
-def _draw_more(
-    found: Candidates,
-    records: NDArray[np.int64],
-    streams: RecordStreams,
-    chains: Chains,
-    effort: Effort,
-    extension: int,
-) -> None:
-    """Double the candidates of the records that fall short, and again; fewer records together, the more each has."""
-    short = np.flatnonzero(chains.missed(effort.target_ess)[records])
-    if len(short) == 0 or extension > effort.max_extension:
-        return
-    together = max(1, records_together(chains.stress.shape[2]) // 2**extension)
-    for start in range(0, len(short), together):
-        some = short[start : start + together]
-        part = found.take(some)
-        part.draw(part.fitted(), part.total_size)
-        _keep(part, records[some], streams, chains)
-        _draw_more(part, records[some], streams, chains, effort, extension + 1)
+@dataclass
+class _Rest:
+    """Records whose candidates fall short: they wait until there are enough of them to be doubled together.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Posterior of all records.
+    streams : RecordStreams
+        Their random streams.
+    effort : Effort
+        Effective sample size to reach.
+    chains : Chains
+        What is made of the candidates.
+    waiting : list of list
+        Records, candidates and weights of those that were doubled 0, 1, … times.
+    """
+
+    posterior: Posterior
+    streams: RecordStreams
+    effort: Effort
+    chains: Chains
+    waiting: list[list[tuple[NDArray[np.int64], Candidates, FloatArray]]]
+
+    def keep(self, found: Candidates, records: NDArray[np.int64], extension: int) -> None:
+        """Fill the chains of some records from candidates that were doubled so often; those that fall short wait."""
+        weight = _keep(found, records, self.streams, self.chains)
+        short = np.flatnonzero(self.chains.missed(self.effort.target_ess)[records])
+        if len(short) == 0 or extension >= len(self.waiting):
+            return
+        self.waiting[extension].append((records[short], found.take(short), weight[short]))
+        if sum(len(some) for some, _, _ in self.waiting[extension]) >= self._together(extension):
+            self._double(extension)
+
+    def finish(self) -> None:
+        """Double those that wait, and again."""
+        for extension in range(len(self.waiting)):
+            self._double(extension)
+
+    def _together(self, extension: int) -> int:
+        """Return how many records are doubled together: fewer, the more candidates each has."""
+        return max(1, records_together(self.chains.stress.shape[2]) >> (extension + 1))
+
+    def _double(self, extension: int) -> None:
+        waiting, self.waiting[extension] = self.waiting[extension], []
+        if not waiting:
+            return
+        records, parts, weights = zip(*waiting, strict=True)
+        numbers, weight = np.concatenate(records), np.concatenate(weights)
+        found = joined(parts, self.posterior.take(numbers))
+        together = self._together(extension)
+        for start in range(0, len(numbers), together):
+            some = np.arange(start, min(start + together, len(numbers)))
+            part = found.take(some)
+            part.draw(part.fitted_with(weight[some]), part.total_size)
+            self.keep(part, numbers[some], extension + 1)
 
 
-def _keep(found: Candidates, records: NDArray[np.int64], streams: RecordStreams, chains: Chains) -> None:
-    """Fill the chains of some records from their candidates."""
+def _keep(found: Candidates, records: NDArray[np.int64], streams: RecordStreams, chains: Chains) -> FloatArray:
+    """Fill the chains of some records from their candidates, and return the weights of these."""
     n = len(records)
     weight, log_weight = found.weight()
     n_keep = chains.stress.shape[1] * chains.stress.shape[2]
     square = np.sum(weight * weight, axis=(1, 2))
     picked = resampled(weight, streams.uniform(records, (N_ENSEMBLE,)), n_keep)
-    coordinate, stress = (_picked(all_of, picked) for all_of in (found.all_coordinates(), found.all_stresses()))
     tail = pareto_k(log_weight.reshape(n, -1))
     # weights are all equal where the density is nowhere above zero: such a record has no draws of its posterior
     effective = np.where(np.isneginf(tail), np.nan, 1.0 / (square + _RESAMPLING / n_keep))
-    chains.put_draws(records, coordinate, stress)
+    chains.pick_draws(records, found.all_coordinates(), found.all_stresses(), picked)
     chains.ess_bulk[records] = effective[:, None]
     chains.ess_tail[records] = effective[:, None]
-    chains.r_hat[records] = _plain_r_hat(stress.reshape(n, N_ENSEMBLE, -1, 6))
+    chains.r_hat[records] = _plain_r_hat(np.moveaxis(chains.stress, -1, 1)[records])
     chains.acceptance[records] = 1.0 / (square * weight[0].size)
     chains.n_step[records] = weight[0].size // N_CHAIN
     chains.pareto_k[records] = tail
-
-
-def _picked(candidate: FloatArray, index: NDArray[np.int64]) -> FloatArray:
-    """Return the draws of indices (n_record, n) from candidates (n_record, k, n_set, size), shape (n_record, n, k)."""
-    flat = candidate.reshape(*candidate.shape[:2], -1)
-    kept = np.empty((*flat.shape[:2], index.shape[1]))
-    for one, of_one, into in zip(flat, index, kept, strict=True):
-        np.take(one, of_one, axis=1, out=into, mode="clip")  # all are inside; a mode makes it quick
-    return kept.swapaxes(1, 2)
+    return weight
 
 
 def _plain_r_hat(stress: FloatArray) -> FloatArray:
-    """Return R-hat between the ensembles, shape (n_record, 6), of independent draws (n_record, n_ensemble, n, 6)."""
-    n = stress.shape[2]
-    within = stress.var(axis=2, ddof=1).mean(axis=1)
-    between = stress.mean(axis=2).var(axis=1, ddof=1)
+    """Return R-hat between the ensembles, shape (n_record, 6), of independent draws (n_record, 6, …): of each in turn.
+
+    The draws are overwritten.
+    """
+    by_ensemble = stress.reshape(*stress.shape[:2], N_ENSEMBLE, -1)
+    n = by_ensemble.shape[-1]
+    mean = by_ensemble.mean(axis=-1)
+    by_ensemble -= mean[..., None]
+    within = np.sum(np.square(by_ensemble, out=by_ensemble), axis=(-2, -1)) / (N_ENSEMBLE * (n - 1.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.sqrt((n - 1.0) / n + between / within))
+        return np.asarray(np.sqrt((n - 1.0) / n + mean.var(axis=-1, ddof=1) / within))

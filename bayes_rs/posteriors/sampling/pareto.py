@@ -33,7 +33,7 @@ def pareto_k(log_weight: FloatArray) -> FloatArray:
     """
     n_draw = log_weight.shape[-1]
     n_tail = int(np.ceil(min(0.2 * n_draw, 3.0 * np.sqrt(n_draw))))
-    largest = np.sort(log_weight, axis=-1)[:, n_draw - n_tail - 1 :]  # quicker than a partition
+    largest = np.sort(np.partition(log_weight, n_draw - n_tail - 1, axis=-1)[:, n_draw - n_tail - 1 :], axis=-1)
     scaled = np.exp(largest - largest[:, -1:])
     excess = scaled[:, 1:] - scaled[:, :1]
     equal = excess[:, -1] <= 0.0
@@ -42,7 +42,8 @@ def pareto_k(log_weight: FloatArray) -> FloatArray:
     quartile = np.maximum(excess[:, int(n_tail / 4.0 + 0.5) - 1], np.finfo(np.float64).tiny)
     step = 1.0 - np.sqrt(n_point / (np.arange(1, n_point + 1) - 0.5))
     theta = step / (3.0 * quartile[:, None]) + 1.0 / excess[:, -1:]  # (n_set, n_point)
-    shape = np.mean(np.log1p(-theta[:, :, None] * excess[:, None, :]), axis=-1)
+    product = -theta[:, :, None] * excess[:, None, :]
+    shape = np.mean(np.log1p(product, out=product), axis=-1)
     profile = n_tail * (np.log(-theta / shape) - shape - 1.0)
     weight = np.exp(profile - profile.max(axis=1, keepdims=True))
     weight = weight / weight.sum(axis=1, keepdims=True)
