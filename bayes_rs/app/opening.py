@@ -32,8 +32,8 @@ from bayes_rs.records.record_files import open_records
 from bayes_rs.records.record_options import options_of_series
 from bayes_rs.result_folder import RUN_FILE
 from bayes_rs.spectra.radial_spectrum import radial_spectra
-from bayes_rs.wind.mast import add_mast, mast_of, mast_words
-from bayes_rs.wind.motion import add_motion, motion_words
+from bayes_rs.wind.mast import add_mast, mast_of
+from bayes_rs.wind.motion import add_motion
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_object import Fit
@@ -232,11 +232,8 @@ def _open_files(path: Path, name: str, settings: Settings, scan: str) -> Opened:
     if records is None:
         series = read(list(own.files.files), loaded, **own.files.of_reading())
         records = make_records(series, loaded, quality=own.quality, **options_of_series(own.records))
-    records = add_mast(add_motion(records, loaded, own.records, own.files), mast, own.records)
-    if own.records.motion:
-        said.append(motion_words(records, own.records))
-    if mast is not None:
-        said.append(mast_words(records))
+    records = add_motion(records, loaded, own.records, own.files, say=said.append)
+    records = add_mast(records, mast, own.records, said.append)
     return _of_records(name, records, loaded, series, said)
 
 

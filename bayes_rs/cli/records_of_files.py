@@ -118,13 +118,8 @@ def _told(made: xr.Dataset) -> xr.Dataset:
 
 def _added(made: xr.Dataset, scan: Scan, settings: Settings, mast: MastStresses | None) -> xr.Dataset:
     """Add the motion of the lidar, and what a mast measured."""
-    from bayes_rs.wind.mast import add_mast, mast_words
-    from bayes_rs.wind.motion import add_motion, motion_words
+    from bayes_rs.wind.mast import add_mast
+    from bayes_rs.wind.motion import add_motion
 
-    made = add_motion(made, scan, settings.records, settings.files)
-    if settings.records.motion:
-        note(motion_words(made, settings.records))
-    made = add_mast(made, mast, settings.records)
-    if mast is not None:
-        note(mast_words(made))
-    return made
+    made = add_motion(made, scan, settings.records, settings.files, say=note)
+    return add_mast(made, mast, settings.records, note)

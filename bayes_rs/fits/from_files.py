@@ -40,7 +40,7 @@ from bayes_rs.records.record_store import store_records
 from bayes_rs.records.report import describe_report
 from bayes_rs.result_folder import ResultFolder
 from bayes_rs.turbulence.mann import load_turbulence
-from bayes_rs.wind.mast import add_mast, mast_of, mast_words
+from bayes_rs.wind.mast import add_mast, mast_of
 from bayes_rs.wind.motion import add_motion
 
 Say = Callable[[str], None]
@@ -134,17 +134,14 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
         for line in describe_report(records):
             say(line)
         at_ranges = scan_of_records(records, scan)
-        records = add_mast(records, mast, settings.records)
-        if mast is not None:
-            say(mast_words(records))
+        records = add_motion(records, scan, settings.records, settings.files, say=say)
+        records = add_mast(records, mast, settings.records, say)
         if isinstance(at_ranges, RangedScan):
             check_no_noise(noise, at_ranges)
-            records = add_motion(records, scan, settings.records, settings.files)
             sections = _other_sections(settings, None, named)
             job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
             fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)
             return open_fit(output)
-        records = add_motion(records, scan, settings.records, settings.files)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
         inputs = fit_inputs(records, noise, settings.noise)
         with one_thread():

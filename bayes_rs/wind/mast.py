@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -121,15 +121,19 @@ def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptio
     return read_mast(options.mast, options.duration if records is None else _duration(records))
 
 
-def add_mast(records: xr.Dataset, mast: MastStresses | None, options: RecordOptions) -> xr.Dataset:
-    """Give records what `mast_of` read; the same records if that is nothing."""
+def add_mast(
+    records: xr.Dataset, mast: MastStresses | None, options: RecordOptions, say: Callable[[str], object]
+) -> xr.Dataset:
+    """Give records what `mast_of` read, and say so in a line; the same records if that is nothing."""
     if mast is None or options.mast_position is None:
         return records
     _check_records(records)
-    return _joined(records, mast, options.mast_position)
+    found = _joined(records, mast, options.mast_position)
+    say(_words(found))
+    return found
 
 
-def mast_words(records: xr.Dataset) -> str:
+def _words(records: xr.Dataset) -> str:
     """Say where the mast is, and in how many records it measured."""
     place = ", ".join(f"{number:g}" for number in json.loads(records.attrs[MAST_POSITION]))
     there = np.isfinite(records[MAST].values).any(axis=-1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -158,7 +158,12 @@ def _check_possible(column: Column, values: FloatArray) -> None:
 
 
 def add_motion(
-    records: xr.Dataset, scan: Scan | str | Path, options: RecordOptions, files: FileOptions | None = None
+    records: xr.Dataset,
+    scan: Scan | str | Path,
+    options: RecordOptions,
+    files: FileOptions | None = None,
+    *,
+    say: Callable[[str], object] | None = None,
 ) -> xr.Dataset:
     """Give records the lidar's own tilt and roll from the files that the options of records name.
 
@@ -174,6 +179,8 @@ def add_motion(
         How the files of radial velocities are written: those of motion have the same zone, form of times, separator,
         decimal sign and numbers for missing entries. What is not said is what `read_motion` takes it to be; numbers for
         missing entries are then those of the scan's files.
+    say : callable, optional
+        Takes a line: where tilt and roll are from, and how many records have none.
 
     Returns
     -------
@@ -197,14 +204,13 @@ def add_motion(
     )
     at_ranges = scan_of_records(records, scan)
     if isinstance(at_ranges, RangedScan):
-        return each_range(records, at_ranges, lambda part, one: with_motion(part, motion, one))
-    return with_motion(records, motion, scan)
-
-
-def motion_words(records: xr.Dataset, options: RecordOptions) -> str:
-    """Say where tilt and roll are from, and how many records have none."""
-    without = int((records["motion_count"] == 0).sum())
-    return f"tilt and roll from {len(options.motion)} files; {without} records without"
+        found = each_range(records, at_ranges, lambda part, one: with_motion(part, motion, one))
+    else:
+        found = with_motion(records, motion, scan)
+    if say is not None:
+        without = int((found["motion_count"] == 0).sum())
+        say(f"tilt and roll from {len(options.motion)} files; {without} records without")
+    return found
 
 
 def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
