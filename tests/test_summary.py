@@ -67,7 +67,7 @@ def fit_of(stress, *, wind_speed=10.0):
         "n_draw": n_draw,
         "settings": {"fit": {"prob": 0.9, "interval": "equal-tailed", "derived": ["tke"]}},
     }
-    return Fit(run, load_scan("staring"), MemoryTables(tables), ByHand(np.full(n_record, wind_speed)))
+    return Fit(run, load_scan("staring"), MemoryTables({}).with_tables(tables), ByHand(np.full(n_record, wind_speed)))
 
 
 def mean_of(stress, name, **options):
@@ -113,6 +113,16 @@ class TestTable:
         uu = 1.0 + np.arange(300.0)  # the batch is 256
         table = fit_of(np.outer(uu, [1.0, 0.6, 0.4, 0.1, -0.2, 0.0])).summary(derived=())
         np.testing.assert_allclose(table[table["stress"] == "uu"]["mean"], uu, rtol=1e-6)  # the jitter's mean
+
+    def test_parts_in_memory_are_joined_when_their_table_is_read(self):
+        draws = [pd.DataFrame({"record": [first, first + 1], "uu": [1.0, 2.0]}) for first in (0, 2)]
+        tables = MemoryTables({"summary": [draws[0]], "draws": list(draws)})
+        assert tables.read("summary") is draws[0]
+        assert len(tables.parts["draws"]) == 2
+        whole = tables.read("draws", records=np.array([1, 2]))
+        assert whole["record"].tolist() == [1, 2]
+        assert whole.index.tolist() == [1, 2]
+        assert len(tables.parts["draws"]) == 1
 
 
 class TestNumbers:

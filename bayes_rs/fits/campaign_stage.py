@@ -24,6 +24,7 @@ from bayes_rs.fits.campaign_job import (
 )
 from bayes_rs.fits.campaign_records import CampaignRecords, campaign_records
 from bayes_rs.fits.columns import SUMMARY, VARIANCES
+from bayes_rs.fits.fit_data import MemoryTables
 from bayes_rs.fits.parts import Done, Part
 from bayes_rs.fits.plan import Plan
 from bayes_rs.fits.run_file import AboutCampaign
@@ -65,12 +66,12 @@ class Campaign:
     prior: CampaignPrior | None = None
 
 
-def campaign_in_memory(plan: Plan, tables: dict[str, pd.DataFrame], crew: Crew) -> Campaign:
+def campaign_in_memory(plan: Plan, tables: MemoryTables, crew: Crew) -> Campaign:
     """Learn the campaign of a fit in memory from its tables, and fit all records under its prior."""
-    chosen = campaign_records(tables["posterior"]["flag_bits"].to_numpy(dtype=np.int64), plan.shared.options)
+    chosen = campaign_records(tables.read("posterior")["flag_bits"].to_numpy(dtype=np.int64), plan.shared.options)
     if not len(chosen.record):
         return Campaign(campaign_off(chosen))
-    found = _learn(plan, chosen, _means(tables.get(VARIANCES, tables["summary"])), crew)
+    found = _learn(plan, chosen, _means(tables.read(VARIANCES if VARIANCES in tables.datasets else "summary")), crew)
     finished = sorted(crew.fit(plan, found.prior, plan.parts), key=lambda done: done.index)
     summary = pd.concat([done.tables[SUMMARY] for done in finished], ignore_index=True)
     return Campaign(found.about, {SUMMARY: summary, **found.tables}, found.prior)

@@ -44,20 +44,30 @@ class Tables(Protocol):
 
 @dataclass(frozen=True)
 class MemoryTables:
-    """Tables in memory."""
+    """Tables in memory.
 
-    tables: Mapping[str, pd.DataFrame]
+    Parameters
+    ----------
+    parts : dict
+        The parts of each table, in the order of their records. They are joined when the table is first read: tables of
+        draws are large, and a summary does without them.
+    """
+
+    parts: dict[str, list[pd.DataFrame]]
 
     @property
     def datasets(self) -> tuple[str, ...]:
         """Names of the tables that there are."""
-        return tuple(self.tables)
+        return tuple(self.parts)
 
     def read(
         self, dataset: str, columns: Sequence[str] | None = None, records: NDArray[np.int64] | None = None
     ) -> pd.DataFrame:
         """Return a table, or some columns of it; its rows are in the order of the records."""
-        table = self.tables[dataset]
+        parts = self.parts[dataset]
+        if len(parts) > 1:
+            parts[:] = [pd.concat(parts, ignore_index=True)]
+        table = parts[0]
         if records is not None and len(records):
             ends = np.searchsorted(table["record"].to_numpy(), [records.min(), records.max() + 1])
             table = table.iloc[ends[0] : ends[1]]
@@ -68,6 +78,10 @@ class MemoryTables:
     ) -> Iterator[pd.DataFrame]:
         """Give some columns of a table: it is in memory, and is one piece."""
         yield self.read(dataset, columns, records)
+
+    def with_tables(self, others: Mapping[str, pd.DataFrame]) -> MemoryTables:
+        """Return these tables and others, each in one part."""
+        return MemoryTables({**self.parts, **{name: [table] for name, table in others.items()}})
 
 
 @dataclass(frozen=True, eq=False)

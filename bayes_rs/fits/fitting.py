@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import xarray as xr
 
 from bayes_rs._validation import FloatArray
@@ -212,11 +211,7 @@ def fit_in_memory(plan: Plan, workers: int, client: Any, progress: bool | None) 
             note_processor(kinds, done.processor)
             bar.update(len(done.tables["posterior"]))
     finished.sort(key=lambda done: done.index)
-    tables = finished[0].tables
-    if len(finished) > 1:
-        tables = {
-            name: pd.concat([done.tables[name] for done in finished], ignore_index=True) for name in plan.datasets
-        }
+    tables = MemoryTables({name: [done.tables[name] for done in finished] for name in plan.datasets})
     learnt = campaign_in_memory(plan, tables, Crew(workers, client, silent))
     run = {**plan.run, "campaign": learnt.about, "processors": kinds}
-    return Fit(run, plan.scan, MemoryTables({**tables, **learnt.tables}), _InMemory(plan, learnt))
+    return Fit(run, plan.scan, tables.with_tables(learnt.tables), _InMemory(plan, learnt))

@@ -365,16 +365,17 @@ def _draws_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) 
             **_places(record, n_chain, n_draw),
             **{name: some.astype(kind).reshape(-1) for name, some in zip(STRESSES, by_stress, strict=True)},
             **{name: values.reshape(-1).astype(kind) for name, values in draws.nuisances.items()},
-        }
+        },
+        copy=False,  # all are made here
     )
 
 
 def _predicted_table(record: NDArray[np.int64], draws: RecordDraws, shared: Shared) -> pd.DataFrame:
     """Lay out predicted variances (n_record, n_chain, n_predicted, n_beam), one row a draw."""
     _, n_chain, n_draw, n_beam = draws.predicted.shape
-    flat = draws.predicted.reshape(-1, n_beam).astype(shared.options.draws_type)
-    beams = {f"beam_{number}": flat[:, index] for index, number in enumerate(shared.beam.tolist())}
-    return pd.DataFrame({**_places(record, n_chain, n_draw), **beams})
+    by_beam = draws.predicted.reshape(-1, n_beam).T.astype(shared.options.draws_type, order="C")
+    beams = {f"beam_{number}": some for number, some in zip(shared.beam.tolist(), by_beam, strict=True)}
+    return pd.DataFrame({**_places(record, n_chain, n_draw), **beams}, copy=False)
 
 
 def _places(record: NDArray[np.int64], n_chain: int, n_draw: int) -> dict[str, NDArray[Any]]:
