@@ -198,9 +198,10 @@ class TestKept:
         """Probes twice as long as the eddies: the tails of their weighting reach to thousands of L."""
         scan, flow = load_scan("zx-300@focus_distance=258.819").select([0, 3, 25]), replace(FLOW, length_scale=20.0)
         found = []
-        for what, value in ((None, None), ("probed._FARTHEST", np.inf), ("kept_lines.LAG_STEP", 0.1)):
-            if what:
-                monkeypatch.setattr(f"bayes_rs.theory.{what}", value)
+        steps = ("kept_lines.LAG_STEP", "kept_lines._COARSE_LAG_STEP")
+        for what, value in (((), None), (("probed._FARTHEST",), np.inf), (steps, 0.1)):
+            for name in what:
+                monkeypatch.setattr(f"bayes_rs.theory.{name}", value)
             with many_speeds():
                 found.append(theory_noise(scan, flow, wind_speed=9.0).covariance)
         plain, farther, finer = found

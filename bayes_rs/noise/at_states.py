@@ -19,7 +19,7 @@ from bayes_rs.progress import progress as progress_bar
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
 
-NOISE_VERSION = 6
+NOISE_VERSION = 7
 """Counts the changes of this module that change its numbers: noise that an older one cached is not used again."""
 
 SONIC_VERSION = 1

@@ -22,8 +22,8 @@ from bayes_rs.turbulence.mann import MannTurbulence
 from bayes_rs.turbulence.stencil import STENCIL, interpolate_rows, stretched
 from bayes_rs.turbulence.two_point import radial_covariance
 
-_COARSE = 1e-3  # tolerance below which points are not taken from lines
-_POINTS_LAG_STEP = 0.4  # of points: that of the table of the turbulence, which then need not be interpolated
+_COARSE = 1e-3  # tolerance below which points are not taken from lines, and separations are LAG_STEP apart
+_COARSE_LAG_STEP = 0.4  # above: that of the table of the turbulence, which then need not be interpolated for points
 _REACH = 2e4  # m: the wind's way in ten minutes at 33 m/s, which every grid reaches to, ...
 _REACH_STEP = 3.2  # ... and farther by such steps of asinh(x/core): nearly all wind speeds have the same
 _DECIMALS = 9  # of metres and of unit vectors: lines that agree to this are one
@@ -83,7 +83,7 @@ def kept_covariance(
     if not np.any(lengths > 0.0):
         return _of_points(first, second, across, along, turbulence, tolerance)
     core = grid_core(shortest, turbulence)
-    step = LAG_STEP
+    step = LAG_STEP if tolerance < _COARSE else _COARSE_LAG_STEP
     half = _half(along, core, step)
     place = np.arcsinh(along / core) / step + half
     flow = (turbulence.dissipation, turbulence.length_scale, turbulence.gamma)
@@ -175,7 +175,7 @@ def _of_points(
     kept = _POINTS.get()
     if kept is None or len(first) < _MANY_POINTS or tolerance < _COARSE:
         return radial_covariance(first, second, across, along, turbulence, tolerance=tolerance)
-    core, step = CORE * turbulence.length_scale, _POINTS_LAG_STEP
+    core, step = CORE * turbulence.length_scale, _COARSE_LAG_STEP
     half = _half(along, core, step)
     flow = (turbulence, tolerance, half)
     which = hashlib.blake2b(repr(flow).encode())
