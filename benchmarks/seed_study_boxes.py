@@ -10,7 +10,7 @@ on, and a file that is damaged or another study's is refused. Estimates are of t
 600 s. Of the 600-s records the posterior is sampled, too, with the noise by theory: its noise model is that of an
 infinite domain, the boxes are periodic every 128 m. `seed_study.py` is the same study in an infinite domain, without
 Monte-Carlo error. Two tables, seed-study-boxes.csv and seed-study-boxes-table-1.csv, and a figure in the paper's
-layout, seed-study-boxes.png. About ten seconds of CPU a field, and some eight minutes of posteriors, most of
+layout, seed-study-boxes.png. Ten to twenty seconds of CPU a field, and some ten minutes of posteriors, most of
 it for the 2000 beams of the SpinnerLidar with five planes.
 """
 

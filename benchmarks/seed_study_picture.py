@@ -21,6 +21,8 @@ FIGURES = {
         "50-beam-planes": "50, 5 planes",
         "51-beam": "51 beams",
         "51-beam-planes": "51, 5 planes",
+        "spinnerlidar": "SpinnerLidar",
+        "spinnerlidar-planes": "Spinner, 5 planes",
     },
     "Fig. 6: least squares with uv = vw = 0": {
         "4-beam": "4 beams",
