@@ -77,12 +77,12 @@ def matched_rows(
     near = known & (np.abs(ordered[nearest] - wanted) <= _NEAR * duration * 1e9)
     if not near.any():
         raise InputError(
-            f"No row of the {where} ({_span(start)}) begins with a record ({_span(time[known])}): check its time zone, "
-            "and that its times are starts."
+            f"No row of the {where} ({span_words(start)}) begins with a record ({span_words(time[known])}): check its "
+            "time zone, and that its times are starts."
         )
     return np.where(near, order[nearest], -1)
 
 
-def _span(time: NDArray[np.datetime64]) -> str:
-    """Return the first and the last of some times, in words."""
+def span_words(time: NDArray[np.datetime64]) -> str:
+    """Return the first and the last of some times, UTC, in words."""
     return " to ".join(np.datetime_as_string([time.min(), time.max()], unit="s"))

@@ -93,7 +93,7 @@ class TestRecords:
         assert done.exit_code == 0, done.output
         np.testing.assert_allclose(xr.load_dataset(out)["tilt"], [1.0, 3.0, 3.0], atol=0.1)
         np.testing.assert_allclose(xr.load_dataset(out)["roll"], 0.5, rtol=1e-12)
-        assert "tilt and roll from 1 files; 0 records without" in done.output
+        assert "tilt and roll from 1 files, of 3 of 3 records" in done.output
         assert run("records", file, *ANGLE, "-o", tmp_path / "bare.nc").exit_code == 0
         again = run("records", tmp_path / "bare.nc", *ANGLE, "--motion", motion, *columns, "-o", tmp_path / "again.nc")
         assert again.exit_code == 0, again.output

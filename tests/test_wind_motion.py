@@ -8,7 +8,8 @@ import xarray as xr
 
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence
-from bayes_rs.wind import read_motion, remove_motion, with_motion
+from bayes_rs.records import RecordOptions
+from bayes_rs.wind import add_motion, read_motion, remove_motion, with_motion
 
 FLOW = load_turbulence("fu-2022")
 SECOND = np.timedelta64(1_000_000_000, "ns")
@@ -104,6 +105,50 @@ class TestWithMotion:
         scan = load_scan("6-beam")
         with pytest.raises(InputError, match=message):
             with_motion(records_at(scan, 1), motion, scan)
+
+    def test_refuses_motion_of_no_record(self):
+        """As a mast whose periods match no record is refused: times two hours off say nothing of any record."""
+        scan = load_scan("6-beam")
+        motion = motion_of([7200.0, 8000.0], tilt_deg=[1.0, 2.0])
+        words = r"No time of the motion \(2020-09-03T21:00:00 to 2020-09-03T21:13:20 UTC\).*check its time zone"
+        with pytest.raises(InputError, match=words):
+            with_motion(records_at(scan, 2), motion, scan)
+        with pytest.raises(InputError, match=r"No time of the motion"):
+            with_motion(records_at(scan, 1), motion_of([0.0], tilt_deg=[np.nan]), scan)
+
+    def test_says_how_many_records_have_none(self, caplog):
+        scan = load_scan("6-beam")
+        with_motion(records_at(scan, 3), motion_of([0.0, 700.0], tilt_deg=[1.0, 2.0]), scan)
+        (words,) = caplog.messages
+        assert words.startswith(
+            "The motion says nothing of 1 of 3 records, the first of 2020-09-03T19:20:00: they keep"
+        )
+
+
+class TestAddMotion:
+    @pytest.fixture
+    def options(self, tmp_path):
+        file = tmp_path / "motion.csv"
+        file.write_text("t,a,v\n2020-09-03 19:00:01,1.5,0.5\n2020-09-03 19:10:01,2.5,0.5\n")
+
+        def of(**columns):
+            return RecordOptions(motion=[file], motion_columns=columns)
+
+        return of
+
+    def test_says_how_many_records_have_some(self, options, caplog):
+        scan, said = load_scan("6-beam"), []
+        found = add_motion(records_at(scan, 3), scan, options(time="t", tilt_deg="a"), say=said.append)
+        assert found["tilt"].values.tolist() == [1.5, 2.5, 0.0]
+        assert said == ["tilt and roll from 1 files, of 2 of 3 records"]
+        assert len(caplog.messages) == 1
+
+    @pytest.mark.parametrize("beside", [{"tilt_deg": "a"}, {}])
+    def test_refuses_velocities_and_names_the_way(self, options, beside):
+        scan = load_scan("6-beam")
+        words = r"Invalid motion_columns velocity_x \(--motion-column velocity_x=v\).*bayes_rs\.wind\.remove_motion"
+        with pytest.raises(InputError, match=words):
+            add_motion(records_at(scan, 2), scan, options(time="t", velocity_x="v", **beside))
 
 
 class TestRemoveMotion:
@@ -205,7 +250,7 @@ class TestRemoveMotion:
         assert report["samples_without_motion"] == 6  # the last second has no motion after it
         assert max(report["variance_after"].values()) < 1e-3 * max(report["variance_before"].values())
 
-    def test_gaps_become_missing_and_are_counted(self):
+    def test_gaps_become_missing_and_are_counted(self, caplog):
         scan = load_scan("staring")
         series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=1, seed=1)
         time = series["time"].values[np.r_[0:100, 200:500]]
@@ -214,12 +259,24 @@ class TestRemoveMotion:
         missing = np.isnan(found["radial_velocity"].values)
         assert np.flatnonzero(missing).tolist() == [*range(100, 200), *range(500, 600)]
         assert json.loads(found.attrs["motion_report"])["samples_without_motion"] == 200
+        assert caplog.messages == ["200 of 600 samples have no motion within 2 s, and count as missing."]
 
     def test_refuses_motion_that_holds_nothing(self):
         scan = load_scan("staring")
         series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=1, seed=1)
         with pytest.raises(InputError, match=r"The motion holds nothing to remove: give some of tilt_deg"):
             remove_motion(series, motion_of([0.0], depth=[1.0]), scan)
+
+    @pytest.mark.parametrize("seconds", [np.arange(7200.0, 7800.0), np.arange(0.0, 600.0, 30.0)])
+    @pytest.mark.parametrize("name", ["velocity_x", "tilt_deg"])
+    def test_refuses_motion_of_no_sample(self, seconds, name):
+        """Two hours off, or with gaps that are too long: all samples would be missing."""
+        scan = load_scan("staring")
+        series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=1, seed=1)
+        series = series.assign_coords(time=series["time"] - series["time"][0] + START + SECOND // 2)
+        words = rf"No sample .* UTC\) that have {name} and are at most max_gap=2 s apart"
+        with pytest.raises(InputError, match=words):
+            remove_motion(series, motion_of(seconds, **{name: np.zeros(len(seconds))}), scan)
 
 
 class TestReadMotion:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,13 +22,15 @@ from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.quality.belief import MOST_ANGLE, in_words, is_impossible
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.table import Column, open_table
+from bayes_rs.readers.table import Column, Table, open_table
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.making import make_records
 from bayes_rs.records.ranges import each_range, scan_of_records
 from bayes_rs.records.record_options import RecordOptions
+from bayes_rs.reference_table import span_words
 from bayes_rs.wind.mean_vector import mean_wind
 
+_log = logging.getLogger(__name__)
 ANGLES = ("tilt_deg", "roll_deg", "heading_deg")
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 _UNITS = {**dict.fromkeys(ANGLES, "degree"), **dict.fromkeys(VELOCITIES, "m s-1")}
@@ -98,31 +101,18 @@ def read_motion(
     >>> motion["tilt_deg"].values
     array([5. , 4.9])
     """
-    for name in columns:
-        if name not in _NAMES:
-            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(_NAMES)}.")
-    if "time" not in columns or len(columns) < 2:
-        raise InputError(
-            f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves, as in "
-            "{'time': 'Timestamp', 'tilt_deg': 'Tilt'} (--motion-column time=Timestamp --motion-column tilt_deg=Tilt)."
-        )
-    file_format = _MotionFormat(
-        columns=dict(columns),
-        invalid=tuple(invalid),
+    _check_columns(columns)
+    file_format = _format_of(
+        columns,
+        invalid=invalid,
         time_zone=time_zone,
         separator=separator,
         decimal=decimal,
         time_format=time_format,
-        required=frozenset(columns),
     )
     parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in columns}
     for file in [files] if isinstance(files, (str, Path)) else files:
-        if not Path(file).is_file():
-            raise InputError(f"No file {str(file)!r}: check the path of the motion.")
-        table = open_table(Path(file), file_format)
-        for name in columns:
-            if not table.has(name):
-                raise table.missing(name)
+        table = _opened(file, file_format)
         frame, _ = next(table.pieces(list(dict.fromkeys(columns.values())), text=[columns["time"]]))
         time, _ = times(table.column(frame, "time", columns["time"]), file_format)
         keep = ~np.isnat(time)
@@ -141,6 +131,34 @@ def read_motion(
         {name: ("time", values[order][last], {"units": _UNITS[name]}) for name, values in whole.items()},
         coords={"time": time[last].astype("datetime64[ns]")},
     )
+
+
+def _check_columns(columns: Mapping[str, str]) -> None:
+    """Refuse headings of what motion does not have, and those without time or anything that moves."""
+    for name in columns:
+        if name not in _NAMES:
+            raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(_NAMES)}.")
+    if "time" not in columns or len(columns) < 2:
+        raise InputError(
+            f"Invalid columns {dict(columns)!r}: give the heading of the time, and of what moves, as in "
+            "{'time': 'Timestamp', 'tilt_deg': 'Tilt'} (--motion-column time=Timestamp --motion-column tilt_deg=Tilt)."
+        )
+
+
+def _format_of(columns: Mapping[str, str], *, invalid: Sequence[float] = (), **written: Any) -> _MotionFormat:
+    """Return how files of motion are written."""
+    return _MotionFormat(columns=dict(columns), invalid=tuple(invalid), required=frozenset(columns), **written)
+
+
+def _opened(file: str | Path, file_format: _MotionFormat) -> Table:
+    """Return a file of motion, which is there and has the columns."""
+    if not Path(file).is_file():
+        raise InputError(f"No file {str(file)!r}: check the path of the motion.")
+    table = open_table(Path(file), file_format)
+    for name in file_format.columns:
+        if not table.has(name):
+            raise table.missing(name)
+    return table
 
 
 def _check_possible(column: Column, values: FloatArray) -> None:
@@ -180,7 +198,8 @@ def add_motion(
         decimal sign and numbers for missing entries. What is not said is what `read_motion` takes it to be; numbers for
         missing entries are then those of the scan's files.
     say : callable, optional
-        Takes a line: where tilt and roll are from, and how many records have none.
+        Takes a line: where tilt and roll are from, and how many records have them. That some have none is a warning,
+        too.
 
     Returns
     -------
@@ -190,27 +209,97 @@ def add_motion(
     Raises
     ------
     InputError
-        If a file or column cannot be read.
+        If a file or column cannot be read, no record is matched, or the columns name velocities of the lidar: they are
+        to be taken out of radial velocities, by `remove_motion`.
     """
     if not options.motion:
         return records
+    check_motion(options, files)
     scan = as_scan(scan)
-    written = {} if files is None else files.given()
     motion = read_motion(
         options.motion,
         columns=options.motion_columns,
-        **{"invalid": scan.file_format.get("invalid", ())}
-        | {name: written[name] for name in _OF_BOTH if name in written},
+        **{"invalid": scan.file_format.get("invalid", ())} | _as_written(files),
     )
     at_ranges = scan_of_records(records, scan)
     if isinstance(at_ranges, RangedScan):
-        found = each_range(records, at_ranges, lambda part, one: with_motion(part, motion, one))
+        found = each_range(records, at_ranges, lambda part, one: _with_attitude(part, motion, one))
     else:
-        found = with_motion(records, motion, scan)
+        found = _with_attitude(records, motion, scan)
+    without = _check_matched(found, motion)
     if say is not None:
-        without = int((found["motion_count"] == 0).sum())
-        say(f"tilt and roll from {len(options.motion)} files; {without} records without")
+        number = found.sizes["record"]
+        say(f"tilt and roll from {len(options.motion)} files, of {number - without} of {number} records")
     return found
+
+
+def check_motion(options: RecordOptions, files: FileOptions | None = None) -> None:
+    """Refuse files of motion that are not there, or whose columns are not, before anything else is read.
+
+    Parameters
+    ----------
+    options : RecordOptions
+        With the files of motion and their columns; those that name no files are right.
+    files : FileOptions, optional
+        How the files of radial velocities are written, as for `add_motion`.
+
+    Raises
+    ------
+    InputError
+        If a file or a column is not there, the columns say nothing of tilt and roll, or they name velocities, which are
+        not taken out of finished records.
+    """
+    if not options.motion:
+        return
+    columns = options.motion_columns
+    _check_columns(columns)
+    moving = [name for name in VELOCITIES if name in columns]
+    if moving:
+        raise InputError(
+            f"Invalid motion_columns {', '.join(moving)} (--motion-column {moving[0]}={columns[moving[0]]}): finished "
+            "records take tilt_deg, roll_deg and heading_deg only. Leave it out; the lidar's velocity is taken out of "
+            "radial velocities before records are made of them, in Python: bayes_rs.wind.remove_motion(series, "
+            "motion, scan)."
+        )
+    _check_turns(columns)
+    file_format = _format_of(columns, **_as_written(files))
+    for file in options.motion:
+        _opened(file, file_format)
+
+
+def _as_written(files: FileOptions | None) -> dict[str, Any]:
+    """Return how files of motion are written, as far as it is said of those of radial velocities."""
+    written = {} if files is None else files.given()
+    return {name: written[name] for name in _OF_BOTH if name in written}
+
+
+def _check_turns(names: Collection[Any]) -> None:
+    """Refuse motion that says nothing of the attitude that a record has of its own."""
+    if "tilt_deg" not in names and "roll_deg" not in names:
+        raise InputError("The motion has neither tilt_deg nor roll_deg: give one of them, degrees.")
+
+
+def _check_matched(found: xr.Dataset, motion: xr.Dataset) -> int:
+    """Say how many records the motion says nothing of, and return their number; refuse motion that is of none."""
+    counts = found["motion_count"]
+    none = counts.max([name for name in counts.dims if name != "record"]).values == 0
+    if none.all():
+        raise InputError(
+            f"No time of the motion ({span_words(motion['time'].values)} UTC) with a tilt or roll lies in a record "
+            f"({_span_of(found['time'].values)} UTC): check its time zone, and that it is of the same days."
+        )
+    if none.any():
+        _log.warning(
+            "The motion says nothing of %d of %d records, the first of %s: they keep the scan's tilt and no roll.",
+            *(none.sum(), len(none), np.datetime_as_string(found["time"].values[none][0], unit="s")),
+        )
+    return int(none.sum())
+
+
+def _span_of(time: NDArray[np.datetime64]) -> str:
+    """Return the first and the last of the times that are known, in words."""
+    known = time[~np.isnat(time)]
+    return span_words(known) if len(known) else "without times"
 
 
 def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path) -> xr.Dataset:
@@ -232,12 +321,12 @@ def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path
         deviations within it, ``heading`` (degree, clockwise from north) if the motion has one, ``motion_count``, the
         number of times that counted, and ``wind_speed``, ``yaw`` and ``record_flag`` anew (`mean_wind`). A record in
         which the motion has no time keeps the tilt of the scan and a roll of zero; its ``motion_count`` is 0 and its
-        standard deviations are NaN.
+        standard deviations are NaN. A warning says how many these are.
 
     Raises
     ------
     InputError
-        If the motion has no time, no angle, or records and scan do not belong together.
+        If the motion has no time, no angle, or none in any record, or records and scan do not belong together.
 
     Notes
     -----
@@ -259,10 +348,15 @@ def with_motion(records: xr.Dataset, motion: xr.Dataset, scan: Scan | str | Path
     >>> with_motion(records, motion, scan)["tilt"].values.round(2)
     array([0.5, 1.5])
     """
-    scan = as_scan(scan)
+    found = _with_attitude(records, motion, as_scan(scan))
+    _check_matched(found, motion)
+    return found
+
+
+def _with_attitude(records: xr.Dataset, motion: xr.Dataset, scan: Scan) -> xr.Dataset:
+    """Do what `with_motion` does, whichever records are matched."""
     time = _motion_times(motion)
-    if "tilt_deg" not in motion and "roll_deg" not in motion:
-        raise InputError("The motion has neither tilt_deg nor roll_deg: give one of them, degrees.")
+    _check_turns(motion)
     if "time" not in records.coords or not np.issubdtype(records["time"].dtype, np.datetime64):
         raise InputError("The records have no times, so that no motion belongs to them: make them with make_records.")
     duration = check_positive(records.attrs.get("duration", 600.0), what="duration", unit="s", where="the records")
@@ -338,14 +432,14 @@ def remove_motion(
     -------
     series : xarray.Dataset
         The series with the corrected ``radial_velocity``. Samples without motion within `max_gap` are NaN, so that
-        `make_records` counts them as missing. ``attrs["motion_report"]`` says in JSON how many these are, and for each
-        cause the root mean square of what was taken out of each beam, m/s, with the variances within a record before
-        and after (means over records, m² s⁻²).
+        `make_records` counts them as missing; a warning says how many. ``attrs["motion_report"]`` says it in JSON, and
+        for each cause the root mean square of what was taken out of each beam, m/s, with the variances within a record
+        before and after (means over records, m² s⁻²).
 
     Raises
     ------
     InputError
-        If the motion holds nothing that can be removed, or an argument is not valid.
+        If the motion holds nothing that can be removed, no sample has motion, or an argument is not valid.
 
     Notes
     -----
@@ -392,6 +486,7 @@ def remove_motion(
     unit = scan.beam_direction[index]
     now = {name: _interpolated(motion, name, time, at, max_gap) for name in (*ANGLES, *VELOCITIES) if name in motion}
     present = np.all([np.isfinite(values) for values in now.values()], axis=0)
+    _check_present(present, series["time"].values, motion, list(now), max_gap)
     tilt = np.deg2rad(now.get("tilt_deg", np.full(len(at), np.rad2deg(scan.tilt))))
     roll = np.deg2rad(now.get("roll_deg", np.zeros(len(at))))
     direction = _row_times(unit, roll_matrix(roll) @ tilt_matrix(tilt))
@@ -400,7 +495,7 @@ def remove_motion(
         angles = motion[[name for name in ANGLES if name in motion]]
         if "tilt_deg" not in angles and "roll_deg" not in angles:
             angles = angles.assign(roll_deg=("time", np.zeros(len(time))))
-        own = with_motion(before, angles, scan)
+        own = _with_attitude(before, angles, scan)  # which samples have motion is known
         record = np.searchsorted(before["time"].values.astype("datetime64[ns]").astype(np.int64), at, side="right") - 1
         mean_direction = level_direction(scan, *(np.deg2rad(own[name].values) for name in ("tilt", "roll")))[
             record, index
@@ -424,6 +519,24 @@ def remove_motion(
     )
     return corrected.assign_attrs(
         motion_report=json.dumps(_report(parts, present, before, corrected, scan, duration, index))
+    )
+
+
+def _check_present(
+    present: NDArray[np.bool_], at: NDArray[np.datetime64], motion: xr.Dataset, names: Sequence[str], max_gap: float
+) -> None:
+    """Say how many samples have no motion; refuse motion that no sample has."""
+    if present.any():
+        if not present.all():
+            _log.warning(
+                "%d of %d samples have no motion within %g s, and count as missing.",
+                *(np.count_nonzero(~present), len(present), max_gap),
+            )
+        return
+    raise InputError(
+        f"No sample ({_span_of(at)} UTC) lies between two times of the motion ({span_words(motion['time'].values)} "
+        f"UTC) that have {', '.join(names)} and are at most max_gap={max_gap:g} s apart: check its time zone, or give "
+        "a max_gap of its own times."
     )
 
 
