@@ -25,7 +25,7 @@ from bayes_rs.folder_place import (
 )
 from bayes_rs.layouts import read_json
 from bayes_rs.ledger import KeyLine, Ledger, read_ledger, write_ledger
-from bayes_rs.result_folder import RUN_FILE, ResultFolder
+from bayes_rs.result_folder import RUN_FILE, ResultFolder, going_on
 
 _STEM = 40
 """Characters of a name in the temporary name beside it."""
@@ -241,4 +241,4 @@ def _keep(folder: ResultFolder, error: BaseException, *, fresh: bool) -> None:
         return
     where = repr(str(folder.path))
     if not any(where in note for note in getattr(error, "__notes__", [])):
-        error.add_note(f"What was finished is kept in {where}: the same call with resume goes on from there.")
+        error.add_note(f"What was finished is kept in {where}: {going_on(error)}")

@@ -34,7 +34,7 @@ def locked(folder: str | Path) -> Iterator[None]:
     ----------
     folder : str or Path
         The folder, which need not exist. The lock is a hidden file beside it, which is removed at the
-        end, but on Windows.
+        end, but on Windows. The folders above are made, and those of them that hold nothing at the end go again.
 
     Raises
     ------
@@ -55,6 +55,7 @@ def locked(folder: str | Path) -> Iterator[None]:
     ['.lock-year-']
     """
     file = _lock_file(Path(folder))
+    above = [place for place in file.parents if not place.exists()]
     number = _taken(file, Path(folder))
     try:
         began = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
@@ -67,6 +68,9 @@ def locked(folder: str | Path) -> Iterator[None]:
     finally:
         _let_go(number, file)
         os.close(number)
+        with suppress(OSError):  # the first that holds something
+            for place in above:
+                place.rmdir()
 
 
 def _lock_file(folder: Path) -> Path:

@@ -28,6 +28,16 @@ _LISTED = 5
 """Damaged files that a message names one by one."""
 
 
+def going_on(error: BaseException) -> str:
+    """Say how a run goes on that an error ended: what is wrong with input comes again until it is corrected."""
+    if isinstance(error, InputError):
+        return (
+            "once the input is corrected, the same call with resume goes on from there; a call with other options "
+            "needs overwrite, or another name."
+        )
+    return "the same call with resume goes on from there."
+
+
 class ResultFolder:
     """A folder of results that is open: for reading, by `open_result_folder`, or for writing, by `begin_result_folder`.
 

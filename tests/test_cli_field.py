@@ -99,6 +99,37 @@ class TestRecords:
         assert again.exit_code == 0, again.output
         np.testing.assert_array_equal(xr.load_dataset(tmp_path / "again.nc")["tilt"], xr.load_dataset(out)["tilt"])
 
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ((), "Invalid columns {}: give the heading of the time, and of what moves"),
+            (("time=t", "tilt_deg=a", "--motion", "none.csv"), "No file 'none.csv'"),
+            (("time=t", "tilt_deg=b"), "no column 'b'"),
+            (("time=t", "heading_deg=a"), "neither tilt_deg nor roll_deg"),
+            (("time=t", "tilt_deg=a", "velocity_x=a"), "bayes_rs.wind.remove_motion"),
+        ],
+    )
+    @pytest.mark.parametrize("command", ["fit", "records", "spectra"])
+    def test_what_is_wrong_with_motion_is_said_before_files_are_read(
+        self, command, words, message, file, tmp_path, monkeypatch
+    ):
+        """With a good file of velocities, and with none that can be read: the motion is looked at first."""
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "mo.csv").write_text("t,a\n2000-01-01T00:00:01,1.5\n")
+        (tmp_path / "bad.csv").write_text("time,beam,radial_velocity\noops,0,1\n")
+        for velocities in (file, "bad.csv"):
+            columns = [one for pair in words if "=" in pair for one in ("--motion-column", pair)]
+            more = [word for word in words if "=" not in word]
+            done = run(command, velocities, *ANGLE, "--motion", "mo.csv", *columns, *more, "-o", "out")
+            assert message in str(done.exception)
+            assert not hasattr(done.exception, "__notes__")
+            assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.csv", "mo.csv"]
+
+    def test_covariances_of_one_beam_are_refused_before_files_are_read(self, file, tmp_path):
+        words = ("--scan", "staring", "--information", "covariances", "-o", tmp_path / "out")
+        assert "one beam has no covariance with another" in str(run("fit", file, *words).exception)
+        assert not (tmp_path / "out").exists()
+
     def test_what_marks_a_missing_entry_for_the_scan_does_so_for_the_motion(self, file, tmp_path):
         """A pulsed nacelle lidar writes tilt and roll beside the velocities, and 9999 for all of them."""
         scan, motion = tmp_path / "ours.toml", tmp_path / "motion.csv"
@@ -305,6 +336,19 @@ class TestMast:
         done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
         assert message in str(done.exception)
         assert not (tmp_path / "out").exists()
+
+    def test_what_is_read_is_kept_and_what_goes_on_is_said(self, file, table, tmp_path):
+        """A mast of another day is known when the files are read: resume goes on from these once it is corrected."""
+        right = table.read_text()
+        table.write_text(right.replace("2000-", "2001-"))
+        words = ("fit", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "out")
+        done = run(*words)
+        assert "begins with a record" in str(done.exception)
+        (note,) = done.exception.__notes__
+        assert "is kept in" in note
+        assert "once the input is corrected, the same call with resume goes on from there" in note
+        table.write_text(right)
+        assert run(*words, "--resume").exit_code == 0
 
     def test_a_mast_of_another_day(self, file, table, tmp_path):
         frame = pd.read_csv(table)

@@ -122,6 +122,23 @@ class TestWriting:
             raise own
         assert len(caught.value.__notes__) == 1
 
+    def test_bad_input_is_to_be_corrected_before_it_goes_on(self, place):
+        with pytest.raises(InputError) as caught, BEGIN(place) as folder:  # noqa: PT012 - it fails amid its work
+            fill(folder)
+            raise InputError("No such mast.")
+        (note,) = caught.value.__notes__
+        assert "once the input is corrected, the same call with resume goes on from there" in note
+
+    def test_folders_above_go_again_with_it_if_they_were_made_for_it(self, place):
+        place.parent.mkdir(exist_ok=True)
+        with pytest.raises(ZeroDivisionError), BEGIN(place.parent / "there" / "below" / "out"):
+            raise ZeroDivisionError
+        assert listed(place.parent) == []
+        (place.parent / "there").mkdir()
+        with pytest.raises(ZeroDivisionError), BEGIN(place.parent / "there" / "below" / "out"):
+            raise ZeroDivisionError
+        assert listed(place.parent) == ["there"]
+
     def test_a_folder_without_results_is_removed_again(self, place):
         with pytest.raises(ZeroDivisionError) as caught, BEGIN(place):
             raise ZeroDivisionError

@@ -617,7 +617,8 @@ class TestOtherCommands:
             ("fit_into", ("--scheduler", "tcp://10.0.0.1:8786"), "client", "tcp://10.0.0.1:8786"),
             ("begin_result_folder", ("--resume",), "resume", True),
             ("begin_result_folder", ("--overwrite",), "overwrite", True),
-            ("add_motion", ("--motion", "there.csv"), "options", RecordOptions(motion=("there.csv",))),
+            ("check_motion", ("--motion", "there.csv"), "options", RecordOptions(motion=("there.csv",))),
+            ("add_motion", ("--duration", 300), "options", RecordOptions(duration=300.0)),
             ("add_motion", ("--separator", ";"), "files", InputOptions(files=("day.csv",), separator=";")),
             (
                 "mast_of",

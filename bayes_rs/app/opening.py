@@ -33,7 +33,7 @@ from bayes_rs.records.record_options import options_of_series
 from bayes_rs.result_folder import RUN_FILE
 from bayes_rs.spectra.radial_spectrum import radial_spectra
 from bayes_rs.wind.mast import add_mast, mast_of
-from bayes_rs.wind.motion import add_motion
+from bayes_rs.wind.motion import add_motion, check_motion
 
 if TYPE_CHECKING:
     from bayes_rs.fits.fit_object import Fit
@@ -228,6 +228,7 @@ def _open_files(path: Path, name: str, settings: Settings, scan: str) -> Opened:
     own = with_found_scan(own, said.append)
     loaded = own.scan.load()
     records, series = open_records(path, loaded), None
+    check_motion(own.records, own.files)
     mast = mast_of(own.records, records, own.files)
     if records is None:
         series = read(list(own.files.files), loaded, **own.files.of_reading())

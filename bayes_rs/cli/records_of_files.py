@@ -40,15 +40,17 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     """Read records that were made before, or make them; say on stderr what was read and dropped."""
     from bayes_rs.records.record_files import open_record_files
     from bayes_rs.wind.mast import mast_of
+    from bayes_rs.wind.motion import check_motion
 
+    check_motion(settings.records, settings.files)  # what is wrong is said before hours of reading
     settings = with_scan(settings)
     scan = settings.scan.load()
     made = open_record_files(settings.files.files, scan)
     if made is not None:
         refuse_for_records(settings.files.files)
-    mast = mast_of(settings.records, made, settings.files)  # what is wrong with it is said before hours of reading
+    mast = mast_of(settings.records, made, settings.files)  # as above
     if made is None and settings.quality.blade_frequency is not None:  # whether blades pass is a matter of all samples
-        made = _records_of_series(series_of(settings, scan), scan, settings)
+        made = _records_of_series(_series_of(settings, scan), scan, settings)
     elif made is None:
         made = _told(_records_in_pieces(settings, scan))
     return _added(made, scan, settings, mast), scan
@@ -85,19 +87,22 @@ def with_scan(settings: Settings) -> Settings:
     return with_found_scan(settings, note)
 
 
-def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
+def _series_of(settings: Settings, scan: Scan) -> xr.Dataset:
     """Read radial velocities."""
     from bayes_rs.readers.reading import read
 
     return read(list(settings.files.files), scan, workers=settings.output.workers, **settings.files.of_reading())
 
 
-def records_of(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:
-    """Make records, with the lidar's motion and a mast; say on stderr what was read and dropped."""
+def series_and_records(settings: Settings, scan: Scan) -> tuple[xr.Dataset, xr.Dataset]:
+    """Read radial velocities and make records of them, with the lidar's motion and a mast; say what was dropped."""
     from bayes_rs.wind.mast import mast_of
+    from bayes_rs.wind.motion import check_motion
 
+    check_motion(settings.records, settings.files)  # before hours of reading
     mast = mast_of(settings.records, None, settings.files)
-    return _added(_records_of_series(series, scan, settings), scan, settings, mast)
+    series = _series_of(settings, scan)
+    return series, _added(_records_of_series(series, scan, settings), scan, settings, mast)
 
 
 def _records_of_series(series: xr.Dataset, scan: Scan, settings: Settings) -> xr.Dataset:

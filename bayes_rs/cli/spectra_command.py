@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from bayes_rs.cli.options import GroupedCommand, Quantity, settings_of, settings_options
-from bayes_rs.cli.records_of_files import exit_if_doubtful, records_of, series_of, with_scan
+from bayes_rs.cli.records_of_files import exit_if_doubtful, series_and_records, with_scan
 from bayes_rs.cli.voice import answer, tell
 
 
@@ -69,8 +69,7 @@ def spectra(
     check_output_folder(output, overwrite=overwrite, inputs=settings.files.files)
     settings = with_scan(settings)
     scan = settings.scan.load()
-    series = series_of(settings, scan)
-    made = records_of(series, scan, settings)
+    series, made = series_and_records(settings, scan)
     lines: list[str] = []
 
     def say(line: str) -> None:

@@ -72,6 +72,21 @@ class PairData:
         )
 
 
+def check_has_pairs(n_beam: int) -> None:
+    """Refuse beams of which no two can have a covariance.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two.
+    """
+    if n_beam < 2:
+        raise InputError(
+            f"Invalid information 'covariances' for records of {n_beam} beam: one beam has no covariance with another; "
+            "use information 'variances'."
+        )
+
+
 def pair_data(records: xr.Dataset, scan: Scan, duration: float, *, correlations: bool) -> PairData:
     """Return the correlations that records hold, and what a mast measured beside them.
 
@@ -108,11 +123,7 @@ def pair_data(records: xr.Dataset, scan: Scan, duration: float, *, correlations:
         )
     have = np.array(json.loads(records.attrs[CORRELATED_BEAMS]), dtype=np.int64)
     present = scan.beam[np.isin(scan.beam, have)]
-    if len(present) < 2:
-        raise InputError(
-            f"Invalid information 'covariances' for records of {len(present)} beam: one beam has no covariance with "
-            "another; use information 'variances'."
-        )
+    check_has_pairs(len(present))
     of_pair = pair_columns(present, have)
     values = np.asarray(records[CORRELATION].values, dtype=np.float64)
     correlation = np.where(of_pair >= 0, values[:, of_pair], np.nan)

@@ -35,7 +35,7 @@ from bayes_rs.output import write_csv, write_netcdf
 from bayes_rs.priors.campaign import CampaignPrior
 from bayes_rs.processor import note_processor, processor_kind
 from bayes_rs.progress import progress_counter
-from bayes_rs.result_folder import RUN_FILE, ResultFolder
+from bayes_rs.result_folder import RUN_FILE, ResultFolder, going_on
 
 NOISE_FILE = "noise.nc"
 """The noise of a fit that was given one: with it and the records the folder repeats the fit."""
@@ -123,8 +123,7 @@ def fit_into(
             raise
     except BaseException as error:
         error.add_note(
-            f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: the same call with "
-            "resume goes on from there."
+            f"{n_done} of {plan.n_record} records are finished and kept in {str(folder.path)!r}: {going_on(error)}"
         )
         raise
     found = fit_in(folder, run, checked, plan.scan, str(folder.path))

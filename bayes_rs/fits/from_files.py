@@ -12,6 +12,7 @@ import xarray as xr
 from bayes_rs.begin_folder import begin_result_folder
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import STANDARD_INPUT
+from bayes_rs.fits.covariance_states import check_has_pairs
 from bayes_rs.fits.digest import digest, digest_parts
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit
@@ -41,7 +42,7 @@ from bayes_rs.records.report import describe_report
 from bayes_rs.result_folder import ResultFolder
 from bayes_rs.turbulence.mann import load_turbulence
 from bayes_rs.wind.mast import add_mast, mast_of
-from bayes_rs.wind.motion import add_motion
+from bayes_rs.wind.motion import add_motion, check_motion
 
 Say = Callable[[str], None]
 
@@ -111,6 +112,9 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
         noise.select(both).check_scan(scan.select(both))
     else:
         load_turbulence(settings.noise.flow)  # a bad file is said before hours of reading
+    if settings.fit.information == "covariances":
+        check_has_pairs(scan.n_beam)
+    check_motion(settings.records, settings.files)
     files = list(settings.files.files)
     records = open_record_files(files, scan)
     if records is None:

@@ -48,7 +48,7 @@ from bayes_rs.records.read_state import (
 )
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.stream import add_chunk, join_blocks
-from bayes_rs.result_folder import ResultFolder
+from bayes_rs.result_folder import ResultFolder, going_on
 
 CHUNK_ROWS = 500_000
 """Rows of a file that are read at a time."""
@@ -230,10 +230,7 @@ def _read_left(
     try:
         done = _read_all(left, asked, folder, done, progress)
     except BaseException as error:
-        error.add_note(
-            f"What was made of the files so far is kept in {str(folder.path)!r}: the same call with resume goes on "
-            "from it."
-        )
+        error.add_note(f"What was made of the files so far is kept in {str(folder.path)!r}: {going_on(error)}")
         raise
     if len(done.bad) == len(paths):
         folder.remove(STATE_FILE)  # there is nothing to go on from
