@@ -332,6 +332,17 @@ class TestRun:
         assert (tmp_path / "s.toml").read_bytes() == before
         assert not (tmp_path / "three").exists()
 
+    @pytest.mark.parametrize("file", ["one/s.toml", "one/below/s.toml", "one"])
+    def test_a_file_in_the_output_folder_is_refused_before_anything_is_written(
+        self, file, bayes_rs, scene, tmp_path, monkeypatch
+    ):
+        monkeypatch.chdir(scene)
+        words = ("-o", tmp_path / "one", "--save-settings", tmp_path / file)
+        code, _, err = bayes_rs("fit", "day.csv", *MINE, *words)
+        assert code == 2
+        assert f"Invalid --save-settings {str(tmp_path / file)!r}: it is in the output folder" in err[-1]
+        assert list(tmp_path.iterdir()) == []
+
     def test_other_files_count_before_those_of_a_run(self, bayes_rs, scene, tmp_path):
         scan = brs.load_scan(scene / "mine.toml", tilt_deg=2.0)
         first = ("fit", scene / "day.csv", "--scan", scene / "mine.toml", "--tilt", 2, *QUICK)

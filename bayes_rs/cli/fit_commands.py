@@ -68,12 +68,22 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     if settings.files.files and named and open_record_files(settings.files.files[:1], settings.scan.load()) is not None:
         refuse_for_records(settings.files.files)
     if save_settings is not None:
+        _check_beside(Path(save_settings), Path(output))
         if Path(save_settings).exists():
             raise click.UsageError(f"File {save_settings!r} exists, and --save-settings replaces none: give another.")
         settings.save(save_settings)
     found = fit_files(settings, say=note_detail)
     draw_pictures(found, Path(output))
     _tell(found, output)
+
+
+def _check_beside(file: Path, output: Path) -> None:
+    """Refuse a settings file that would be the output folder, or lie in it: that is made by the run, whole."""
+    if output.resolve() in (file.resolve(), *file.resolve().parents):
+        raise click.UsageError(
+            f"Invalid --save-settings {str(file)!r}: it is in the output folder {str(output)!r}, which holds results "
+            "only. Give a place outside of it, or leave it out: the run.json of the folder repeats a run, too."
+        )
 
 
 def draw_pictures(found: Fit, folder: Path) -> None:
