@@ -8,8 +8,10 @@ import bayes_rs as brs
 from bayes_rs.fits.few_samples import scatter_of_few
 from bayes_rs.fits.fit_options import FitOptions
 from bayes_rs.fits.prepare import prepare
+from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.noise.by_theory import theory_noise
 from bayes_rs.noise.gaps import gap_noise
+from bayes_rs.records.ranges import stack_ranges
 from bayes_rs.records.report import describe_report
 
 DBS = brs.load_scan("wls200s-dbs@probe=point")
@@ -99,6 +101,10 @@ class TestWords:
         start = series["time"].values.astype("datetime64[s]").astype(np.int64) % 600
         return describe_report(brs.make_records(series.isel(sample=np.flatnonzero(kept(start))), DBS, **options))
 
+    def short(self, series, **options):
+        start = series["time"].values.astype("datetime64[s]").astype(np.int64) % 600
+        return brs.make_records(series.isel(sample=np.flatnonzero(start < 120)), DBS, **options)
+
     def test_the_share_and_the_option_are_named(self, series):
         said = [line for line in self.lines(series, SHARED["two bursts"]) if line.startswith("beams with too few")]
         least = "beams with too few samples have 19 to 20 of 29.6 (64 to 68 %), half of them 19 or more: "
@@ -118,6 +124,31 @@ class TestWords:
             line for line in self.lines(series, lambda time: time < 100) if line.startswith("beams with too few")
         ]
         assert "--min-availability" not in said
+        assert said.endswith("fewer than min_count=10, whatever was expected")
+
+    @pytest.mark.parametrize(
+        ("options", "words", "never"),
+        [
+            ({}, "the most samples of one are 6, and min_count=10 asks for more", None),
+            ({}, "in Python), and a lower min_availability (--min-availability), takes fewer", None),
+            (
+                {"min_availability": 0.01},
+                "a lower min_count (records.min_count of a",
+                "--min-availability",
+            ),
+            ({"min_count": 2}, "; a lower min_availability (--min-availability) takes fewer samples", "min_count"),
+        ],
+    )
+    def test_where_all_have_too_few_the_rule_that_is_the_limit_is_named(self, series, options, words, never):
+        with pytest.raises(brs.InputError) as caught:
+            brs.fit(self.short(series, **options), DBS, seed=1)
+        assert words in str(caught.value)
+        assert never is None or never not in str(caught.value)
+
+    def test_so_it_is_at_several_ranges(self, series):
+        records = stack_ranges([self.short(series)] * 2, RangedScan.of(DBS, [100.0, 200.0]))
+        with pytest.raises(brs.InputError, match=r"at any of the ranges can be fitted: every beam .*min_count=10 asks"):
+            brs.fit(records, DBS, seed=1)
 
     def test_full_records_have_no_line(self, series):
         assert not any(line.startswith("beams with too few") for line in self.lines(series, lambda time: time >= 0))

@@ -33,6 +33,7 @@ from bayes_rs.processor import one_thread
 from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
 from bayes_rs.records.ranges import split_ranges
+from bayes_rs.records.report import why_no_beam
 from bayes_rs.result_folder import ResultFolder
 
 PROFILE_FILE = "profile.csv"
@@ -94,8 +95,10 @@ class RangeJob:
             options = replace(self.options, seed=seed_of_range(self.options.seed, float(self.scan.range[place])))
             made.append((records, self.scan.at(place), with_median_length_scale(options, self.choice, records, None)))
         if all(part is None for part in made):
+            why = why_no_beam(split_ranges(self.records))
             raise InputError(
-                "No record at any of the ranges can be fitted: none has a usable beam, a wind speed and a direction."
+                "No record at any of the ranges can be fitted: "
+                f"{why or 'none has a usable beam, a wind speed and a direction'}."
             )
         return made
 

@@ -17,7 +17,7 @@ from bayes_rs.noise.at_states import noise_at_states
 from bayes_rs.noise.net import TOLERANCE, refined_noise
 from bayes_rs.noise.noise import Noise
 from bayes_rs.noise.store import find_shipped_noise
-from bayes_rs.records.flags import BEAM_FLAGS
+from bayes_rs.records.report import why_no_beam
 from bayes_rs.simulation.virtual import RecordState
 from bayes_rs.turbulence.mann import MannTurbulence
 
@@ -77,22 +77,11 @@ def noise_for_records(
     if len(speed) == 0:
         raise InputError(
             "No record has a wind speed and direction, so no noise can be chosen for it: "
-            f"{_why_no_beam(records) or 'give them, or a noise file'}."
+            f"{why_no_beam([records]) or 'give them, or a noise file'}."
         )
     duration = float(records.attrs.get("duration", 600.0))
     flow, spans = _flow_of(records, turbulence, {"length_scale": length_scale, "gamma": gamma})
     return _from_theory(scan, flow, speed, yaw, spans, duration, tolerance, sonic, cache, progress)
-
-
-def _why_no_beam(records: xr.Dataset) -> str:
-    """Say which flags the beams have where every one of every record has one; empty otherwise."""
-    flag = records["flag"].values if "flag" in records else np.zeros(1, dtype=np.uint8)
-    if not flag.size or not flag.all():
-        return ""
-    counts = {name: int(np.count_nonzero(flag & bit)) for name, bit in BEAM_FLAGS.items()}
-    said = ", ".join(f"{name} {count} of {flag.size}" for name, count in counts.items() if count)
-    few = "; a lower min_availability (--min-availability) takes fewer samples" if counts["too_few_samples"] else ""
-    return f"every beam of every record has a flag ({said}){few}"
 
 
 def known_winds(records: xr.Dataset) -> tuple[FloatArray, FloatArray]:

@@ -177,6 +177,7 @@ class RecordsReport(Open):
     record_flags: dict[str, _Counted]
     samples_needed: Finite
     samples_expected: Finite
+    min_count: Count | None = None
     quality: dict[str, Any] = Field(default_factory=dict)
     impossible_values: dict[str, Count] = Field(default_factory=dict)
     velocity_limit: Positive = 1.0

@@ -418,6 +418,7 @@ def _asked(chosen: RecordOptions, rules: QualityRules, scan: Scan) -> dict[str, 
     return {
         "samples_needed": float(chosen.needed(scan)),
         "samples_expected": chosen.expected(scan),
+        "min_count": chosen.min_count,
         "duration": chosen.duration,
         **{name: getattr(rules, name) for name in _TOLD},
         "quality": asdict(rules),

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.readers.unnamed_ranges import listed_ranges
 from bayes_rs.records.belief import doubt_lines
+from bayes_rs.records.flags import BEAM_FLAGS
 from bayes_rs.records.layout import OF_RANGES, REPORT
 from bayes_rs.records.ranges import split_ranges
 from bayes_rs.records.windows import LONGEST_GAP_DAYS
@@ -229,11 +231,56 @@ def _describe_few(report: Mapping[str, Any]) -> list[str]:
         f"beams with too few samples have {span} of {expected:.3g} ({' to '.join(dict.fromkeys(shares))} %), half of "
         f"them {few['usual']:g} or more"
     )
+    least = report.get("min_count") or LEAST_TAKEN
     share = np.floor(20.0 * few["usual"] / expected) / 20.0
-    if few["usual"] < LEAST_TAKEN or share <= 0.0:
+    if few["usual"] < least:
+        return [f"{line}: fewer than min_count={least}, whatever was expected"]
+    if share <= 0.0:
         return [line]
     line += f": min_availability={share:g} (--min-availability {share:g}) takes these, with wider intervals; "
     return [line + "where time is shared between scans, their variances are a little too small (docs/quality.md)"]
+
+
+def why_no_beam(parts: Sequence[xr.Dataset]) -> str:
+    """Say which flags the beams of records have where every one of every record has one; empty otherwise.
+
+    Parameters
+    ----------
+    parts : sequence of Dataset
+        The records, of one range each.
+
+    Returns
+    -------
+    words : str
+        The flags with their counts, and the option by whose rule there are too few samples, if there are.
+    """
+    flags = [part["flag"].values if "flag" in part else np.zeros(1, dtype=np.uint8) for part in parts]
+    flag = np.concatenate([own.ravel() for own in flags])
+    if not flag.size or not flag.all():
+        return ""
+    counts = {name: int(np.count_nonzero(flag & bit)) for name, bit in BEAM_FLAGS.items()}
+    said = ", ".join(f"{name} {count} of {flag.size}" for name, count in counts.items() if count)
+    return f"every beam of every record has a flag ({said}){_what_takes_more(parts, flags)}"
+
+
+def _what_takes_more(parts: Sequence[xr.Dataset], flags: Sequence[NDArray[np.uint8]]) -> str:
+    """Say which option would take the beams of records with too few samples; empty if there are none."""
+    few = [(own & BEAM_FLAGS["too_few_samples"]) > 0 for own in flags]
+    if not any(own.any() for own in few):
+        return ""
+    share = "a lower min_availability (--min-availability)"
+    report = json.loads(parts[0].attrs.get("records_report", "{}"))
+    counts = [part["count"].values[own] for part, own in zip(parts, few, strict=True) if "count" in part]
+    least, most = report.get("min_count"), max((int(own.max()) for own in counts if own.size), default=None)
+    if least is None or most is None:
+        return f"; {share}, or a lower min_count, takes fewer samples"
+    if most >= least:
+        return f"; {share} takes fewer samples"
+    both = f", and {share}," if report["samples_needed"] > least else ""
+    return (
+        f"; the most samples of one are {most}, and min_count={least} asks for more: a longer duration (--duration) "
+        f"has more of them; a lower min_count (records.min_count of a settings file, or in Python){both} takes fewer"
+    )
 
 
 def _describe_filters(dropped: Mapping[str, int], by_beam: Mapping[str, list[int]]) -> list[str]:
