@@ -1,5 +1,6 @@
 """Commands and options for field data: wind, quality rules, motion, gradients."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -162,11 +163,20 @@ class TestFit:
     @pytest.mark.parametrize("more", [(), ("--draws", "none")])
     def test_flags_are_told(self, file, tmp_path, more):
         """An instrument's noise above the variance leaves almost no stress: not without a word."""
-        options = ("--instrument-noise", 5, "--sampler", "direct", "-v", *more)
+        options = ("--instrument-noise", 2, "--sampler", "direct", "-v", *more)
         done = run("fit", file, *ANGLE, *options, "-o", tmp_path / "out")
         assert done.exit_code == 0, done.output
         assert "3 of 3 records fitted" in done.output
-        assert "flag beams_disagree: 3 of 3 records, first record 0 (2000-01-01T00:00)" in done.output.splitlines()
+        words = "the instrument's noise that was given is above the variance of every beam; "
+        assert f"3 of 3 records: {words}" in done.output
+        for name in ("noise_above_variance", "beams_disagree"):
+            assert f"flag {name}: 3 of 3 records, first record 0 (2000-01-01T00:00)" in done.output.splitlines()
+
+    def test_noise_far_above_every_variance_is_refused(self, file, tmp_path):
+        done = run("fit", file, *ANGLE, "--instrument-noise", 1000, "-o", tmp_path / "out")
+        words = r"Invalid instrument_noise 1000 m² s⁻² \(--instrument-noise\), a standard deviation of 31\.6 m/s"
+        assert re.search(words, str(done.exception))
+        assert "or leave it out" in str(done.exception)
 
     def test_a_folder_that_is_being_written_is_not_replaced(self, file, tmp_path):
         """Nor by a fit of the other kind, which fills a folder of its own and puts it in the place of the old one."""

@@ -25,7 +25,7 @@ from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.noise_choice import noise_and_records, with_median_length_scale
 from bayes_rs.fits.parts import batch_size
 from bayes_rs.fits.plan import PRIOR_SEED
-from bayes_rs.fits.prepare import can_be_fitted, prepare
+from bayes_rs.fits.prepare import can_be_fitted, check_noise_is_less, prepare
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.fits.selection import Selection, selected_records
 from bayes_rs.geometry.forward import design_matrix
@@ -207,6 +207,7 @@ def _budget_of(
         raise InputError("A budget is of R, and this fit is of what a sonic would measure: fit with target 'record'.")
     check_derived(options.derived)
     check_count(n_draw, what="n_draw", minimum=LEAST_DRAWS)
+    check_noise_is_less([records], options)
     options = with_median_length_scale(options, choice, records, noise)
     with one_thread():
         if noise is None or chosen is None or (options.nuisances.yaw_sd_of_records and "yaw_sd" not in records):

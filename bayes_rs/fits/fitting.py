@@ -22,6 +22,7 @@ from bayes_rs.fits.log_likelihood import log_likelihood_of
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.parts import fit_part
 from bayes_rs.fits.plan import Plan, plan_fit, with_settings
+from bayes_rs.fits.prepare import check_noise_is_less
 from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers, done_parts
@@ -153,6 +154,7 @@ def fit(
             fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, say=say)
         return open_fit(output)
     records = believed(records)
+    check_noise_is_less([records], own)
     own = with_median_length_scale(own, choice, records, given)
     inputs = fit_inputs(records, given, choice)
     with one_thread():

@@ -27,6 +27,7 @@ FLAGS: dict[str, int] = {
     "excluded": 2048,
     "outside_noise": 4096,
     "cut_off": 65536,
+    "noise_above_variance": 131072,
     "beams_disagree": 16384,
     "unsteady": 8192,
     "other_length_scale": 32768,
@@ -53,6 +54,8 @@ FLAG_MEANINGS = {
     "outside_noise": "the noise is of another wind or turbulence than the record's: its intervals may be too narrow or "
     "too wide",
     "cut_off": "the data begin or end within the record, so that no beam has enough samples; not fitted",
+    "noise_above_variance": "the instrument's noise that was given is above the variance of every beam: nothing is "
+    "left for the wind",
     "beams_disagree": "beams disagree with each other by more than any flow explains",
     "unsteady": "the wind changes as by a front or a trend, which adds to the stresses",
     "other_length_scale": "the noise was made for another length scale than the record's spectra say: its intervals "

@@ -21,7 +21,7 @@ from bayes_rs.fits.fitting import noise_section
 from bayes_rs.fits.found_scan import with_found_scan
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts, with_settings
-from bayes_rs.fits.prepare import check_beside_mast
+from bayes_rs.fits.prepare import check_beside_mast, check_noise_is_less
 from bayes_rs.fits.range_job import RangeJob, check_no_noise, fit_ranges_into
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.workers import check_workers
@@ -146,6 +146,7 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
             job = RangeJob(records, at_ranges, settings.fit, settings.noise, sections)
             fit_ranges_into(folder, job, workers=workers, client=client, progress=progress, more=about, say=say)
             return open_fit(output)
+        check_noise_is_less([records], settings.fit)
         options = with_median_length_scale(settings.fit, settings.noise, records, noise)
         inputs = fit_inputs(records, noise, settings.noise)
         with one_thread():

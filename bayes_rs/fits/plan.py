@@ -25,7 +25,7 @@ from bayes_rs.fits.flags import FLAGS, flags_before
 from bayes_rs.fits.more_draws import expected_times, most_draws
 from bayes_rs.fits.noise_choice import about_probe
 from bayes_rs.fits.parts import Part, Shared, batch_size, n_kept
-from bayes_rs.fits.prepare import can_be_fitted, prepare
+from bayes_rs.fits.prepare import can_be_fitted, is_all_noise, prepare
 from bayes_rs.fits.record_beams import RecordBeams, record_beams
 from bayes_rs.geometry.forward import design_matrix, sight
 from bayes_rs.geometry.scan import Scan
@@ -123,7 +123,7 @@ def plan_fit(
     check_draws(len(batch), noise.n_beam, options, in_folder=in_folder)
     beams = record_beams(records, scan, noise, batch, options)
     size = part_size(len(batch), options)
-    parts = _parts(records, batch, beams, size)
+    parts = _parts(records, batch, beams, size, options)
     key_parts = digest_parts(
         **version_parts(),
         scan=scan.key,
@@ -281,8 +281,9 @@ def noise_summary(noise: Noise) -> dict[str, Any]:
     }
 
 
-def _parts(records: xr.Dataset, batch: Batch, beams: RecordBeams, size: int) -> list[Part]:
+def _parts(records: xr.Dataset, batch: Batch, beams: RecordBeams, size: int, options: FitOptions) -> list[Part]:
     flag = flags_before(records, batch.used, can_be_fitted(batch)) | FLAGS["beams_disagree"] * beams.disagree
+    flag |= FLAGS["noise_above_variance"] * is_all_noise(records, options)
     number = np.arange(len(batch))
     start = starts(records)
     slices = [slice(first, first + size) for first in range(0, len(batch), size)]

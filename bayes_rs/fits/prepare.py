@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -108,6 +108,52 @@ def used_beams(records: xr.Dataset, instrument_noise: float | str) -> NDArray[np
     if not isinstance(instrument_noise, str):
         return used
     return np.asarray(used & (records["variance"].values > LEAST_NOISE * _own_noise(records, used)))
+
+
+def is_all_noise(records: xr.Dataset, options: FitOptions) -> NDArray[np.bool_]:
+    """Return which records have no variance above the instrument's noise, (n_record,); none that have no sound beam.
+
+    Noise that is uncertain is taken two standard deviations below its median. Of noise that the records hold, half
+    counts, as for `used_beams`: it is told by the same variances.
+    """
+    sound = sound_beams(records)
+    if isinstance(options.instrument_noise, str):
+        least: float | FloatArray = LEAST_NOISE * _own_noise(records, sound)
+    else:
+        least = _least_noise(options)
+    above = np.asarray(records["variance"].values > least)
+    return np.asarray(sound.any(axis=1) & ~(sound & above).any(axis=1))
+
+
+def check_noise_is_less(parts: Sequence[xr.Dataset], options: FitOptions) -> None:
+    """Refuse noise of the instrument, given as a number, that is twice every variance of all records, or more.
+
+    Parameters
+    ----------
+    parts : sequence of Dataset
+        The records, of one range each.
+    options : FitOptions
+        Of the fit.
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if isinstance(options.instrument_noise, str):
+        return
+    noise, least = options.known_instrument_noise, LEAST_NOISE * _least_noise(options)
+    most = max((float(part["variance"].values[sound_beams(part)].max(initial=0.0)) for part in parts), default=0.0)
+    if 0.0 < most < least:
+        raise InputError(
+            f"Invalid instrument_noise {noise:g} m² s⁻² (--instrument-noise), a standard deviation of {noise**0.5:.3g} "
+            f"m/s: no variance of the records is even half of it, the largest is {most:.3g} m² s⁻². Give the variance "
+            "that the instrument alone adds to each, the square of the noise of its velocities in m/s, or leave it out."
+        )
+
+
+def _least_noise(options: FitOptions) -> float:
+    return options.known_instrument_noise * float(np.exp(-2.0 * options.nuisances.instrument_noise_log_sd))
 
 
 def record_yaw_sd(records: xr.Dataset, nuisances: Mapping[str, Any]) -> FloatArray | None:

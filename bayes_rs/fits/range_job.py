@@ -21,7 +21,7 @@ from bayes_rs.fits.fit_writing import MOST_CSV, fit_into
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.people_table import PEOPLE_FILE, write_people_table
 from bayes_rs.fits.plan import Plan, option_parts, plain_options, plan_fit, software, version_parts, with_settings
-from bayes_rs.fits.prepare import LEAST_WIND, sound_beams
+from bayes_rs.fits.prepare import LEAST_WIND, check_noise_is_less, sound_beams
 from bayes_rs.fits.ranged_fit import RangedFit, TablesOfRanges
 from bayes_rs.fits.workers import done_parts
 from bayes_rs.geometry.ranged_scan import RangedScan, short
@@ -94,6 +94,7 @@ class RangeJob:
                 continue
             options = replace(self.options, seed=seed_of_range(self.options.seed, float(self.scan.range[place])))
             made.append((records, self.scan.at(place), with_median_length_scale(options, self.choice, records, None)))
+        check_noise_is_less([part[0] for part in made if part is not None], self.options)
         if all(part is None for part in made):
             why = why_no_beam(split_ranges(self.records))
             raise InputError(
