@@ -311,7 +311,9 @@ class TestFit:
 
     def test_records_of_another_scan_are_refused(self, fit, finished):
         records = finished[0] / "records.nc"
-        refusal(*fit(records, scan="50-beam"), str(records), "made with another scan, '6-beam', than '50-beam'")
+        refusal(
+            *fit(records, scan="50-beam"), str(records), "made with another scan, '6-beam', than '50-beam' (beams 6, "
+        )
 
     def test_failures_are_listed_and_the_exit_code_tells(self, fit, tmp_path):
         """Record 0 is all NaN, record 1 good, record 2 has 80 samples of the 480 that are needed."""

@@ -81,6 +81,20 @@ class TestRecords:
         assert (records["flag"] > 0).all()  # all wind is below 50 m/s
         assert "trend_p_value" in records
 
+    @pytest.mark.parametrize(
+        ("made", "now", "words"),
+        [
+            ((), ("--tilt", 5), "(tilt 0° and 5°, in the records and now)"),
+            (("--tilt", 5), (), "(tilt 5° and 0°, in the records and now)"),
+            ((), ("--focus-distance", 80), "distance 98 m and 80 m"),
+        ],
+    )
+    def test_of_scans_of_one_name_it_is_said_what_differs(self, file, tmp_path, made, now, words):
+        named = ("--scan", "6-beam@opening_angle_deg=45")
+        assert run("records", file, *named, *made, "-o", tmp_path / "r.nc").exit_code == 0
+        done = run("fit", tmp_path / "r.nc", *named, *now, "-o", tmp_path / "out")
+        assert words in str(done.exception)
+
     def test_motion_gives_each_record_its_own_tilt(self, file, series, tmp_path):
         motion = tmp_path / "motion.csv"
         time = np.unique(series["time"].values)[::60]

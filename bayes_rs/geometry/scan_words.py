@@ -10,11 +10,13 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.forward import sight
 from bayes_rs.geometry.probe import Probe
 from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_card import scan_rows
 
 RECORD = 600.0
 """Length of a record, s, for which samples are counted here."""
 WIDTH = 110
 _MOST_ROWS = 12  # beams of a table; of more the first and the last are shown
+_MOST_SAID = 3  # differences of two scans
 _SEVERAL = 1e-6  # m and rad by which beams differ
 
 
@@ -53,6 +55,34 @@ def scan_lines(scan: Scan, width: int = WIDTH) -> list[str]:
     for what, words in facts:
         lines += textwrap.wrap(words, width, initial_indent=f"{what:<10}", subsequent_indent=" " * 10)
     return [*lines, "", *beam_table(scan)]
+
+
+def scan_difference(one: Scan, other: Scan) -> str:
+    """Return what differs between two scans, in words.
+
+    Parameters
+    ----------
+    one, other : Scan
+        The scans, in the order in which their values are said.
+
+    Returns
+    -------
+    words : str
+        Fields with both values, such as ``tilt 0° and 5°``; that single beams differ where no field of all does.
+
+    Examples
+    --------
+    >>> from bayes_rs.geometry.scan_file import load_scan
+    >>> scan_difference(load_scan("6-beam"), load_scan("6-beam", tilt_deg=5.0, opening_angle_deg=30.0))
+    'beams 6, 0 to 15° from straight ahead and 6, 0 to 30° from straight ahead, tilt 0° and 5°'
+    """
+    rows = [
+        scan_rows(scan.beam_direction, scan.focus_distance, scan.scan_duration, scan.probe)
+        | {"tilt": f"{np.rad2deg(scan.tilt):.6g}°", "numbers of the beams": str(scan.beam.tolist())}
+        for scan in (one, other)
+    ]
+    said = [f"{name} {value} and {rows[1][name]}" for name, value in rows[0].items() if value != rows[1][name]]
+    return ", ".join(said[:_MOST_SAID]) or "directions, distances or times of single beams"
 
 
 def beam_table(scan: Scan, more: dict[str, list[str]] | None = None) -> list[str]:
