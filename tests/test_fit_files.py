@@ -178,7 +178,7 @@ class TestInterruptions:
         monkeypatch.setattr(record_store, "stream", failing)
         with pytest.raises(KeyboardInterrupt) as caught:
             run(files, tmp_path / "out", noise)
-        assert "goes on from it" in caught.value.__notes__[0]
+        assert "goes on from there" in caught.value.__notes__[0]
         words = []
         run(files, tmp_path / "out", noise, resume=True, say=words.append)
         assert words[0] == "3 of 5 files were read by an earlier run"
