@@ -50,7 +50,7 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
         refuse_for_records(settings.files.files)
     mast = mast_of(settings.records, made, settings.files)  # as above
     if made is None and settings.quality.blade_frequency is not None:  # whether blades pass is a matter of all samples
-        made = _records_of_series(_series_of(settings, scan), scan, settings)
+        made = _records_of_series(series_of(settings, scan), scan, settings)
     elif made is None:
         made = _told(_records_in_pieces(settings, scan))
     return _added(made, scan, settings, mast), scan
@@ -87,7 +87,7 @@ def with_scan(settings: Settings) -> Settings:
     return with_found_scan(settings, note)
 
 
-def _series_of(settings: Settings, scan: Scan) -> xr.Dataset:
+def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
     """Read radial velocities."""
     from bayes_rs.readers.reading import read
 
@@ -101,7 +101,7 @@ def series_and_records(settings: Settings, scan: Scan) -> tuple[xr.Dataset, xr.D
 
     check_motion(settings.records, settings.files)  # before hours of reading
     mast = mast_of(settings.records, None, settings.files)
-    series = _series_of(settings, scan)
+    series = series_of(settings, scan)
     return series, _added(_records_of_series(series, scan, settings), scan, settings, mast)
 
 
