@@ -465,6 +465,16 @@ class TestFit:
         mean = np.nan_to_num(pattern).mean(axis=0)
         assert fit.coherence().pattern == pytest.approx(3.0 * np.sum(mean**2) / 15.0)
 
+    @pytest.mark.parametrize("without", [[1], [0, 1]])
+    def test_records_without_any_go_by_their_variances_and_are_told(self, both, without):
+        scan, records, _ = both
+        some = records.isel(record=[0, 1]).copy(deep=True)
+        some["beam_correlation"][without] = np.nan
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
+        words = f"{len(without)} of 2 records hold no covariances, and go by their variances alone"
+        assert words in fit.headline().doubtful
+
     def test_two_ranges_tell_more_than_one(self):
         ratio = {}
         for name in ("4-beam@focus_distance=100", "4-beam@focus_distance=80+120"):
