@@ -333,6 +333,8 @@ class TestMast:
         done = run("wind", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "w.csv")
         assert done.exit_code == 2
         assert "No such option" in done.output
-        done = run("wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv")  # nor for what beams have in common
+        done = run(
+            "wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv"
+        )  # nor for what beams have in common
         assert done.exit_code == 2
         assert "No such option" in done.output
