@@ -335,6 +335,6 @@ class TestMast:
         assert "No such option" in done.output
         done = run(
             "wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv"
-        )  # nor for what beams have in common
+        )  # nor for these
         assert done.exit_code == 2
         assert "No such option" in done.output

@@ -108,8 +108,8 @@ class ScanLimits:
                 check_positive(getattr(self, name), what=name, unit="s")
         if self.dwell is not None and self.scan_duration is not None:
             raise InputError(
-                f"Invalid dwell {self.dwell:g} s with scan_duration {self.scan_duration:g} s: one follows from the other "
-                "and the number of beams; give one of them."
+                f"Invalid dwell {self.dwell:g} s with scan_duration {self.scan_duration:g} s: one follows from the "
+                "other and the number of beams; give one of them."
             )
         free_arcs(self.blocked)
 
