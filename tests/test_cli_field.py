@@ -333,8 +333,6 @@ class TestMast:
         done = run("wind", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "w.csv")
         assert done.exit_code == 2
         assert "No such option" in done.output
-        done = run(
-            "wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv"
-        )  # nor for these
+        done = run("wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv")  # nor for these
         assert done.exit_code == 2
         assert "No such option" in done.output
