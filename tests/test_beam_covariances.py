@@ -687,6 +687,32 @@ class TestMast:
         with pytest.raises(InputError, match=r"is a sonic's series, and that in .*t\.csv' is none: give files of one"):
             brs.wind.with_mast(records, [file, tmp_path / "t.csv"], position=(0, 0, 0))
 
+    @pytest.mark.parametrize(("own", "records_of"), [(600.0, 300.0), (60.0, 600.0)])
+    def test_stresses_of_another_averaging_time_are_refused(self, own, records_of):
+        scan = brs.load_scan("2-beam")
+        series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=2, seed=1)
+        records = brs.make_records(series, scan, duration=records_of)
+        stress = xr.Dataset(
+            {"stress": (("record", "component"), np.tile(FLOW.stresses(), (records.sizes["record"], 1)))},
+            coords={"time": ("record", records["time"].values), "component": list(brs.STRESSES)},
+            attrs={"duration": own},
+        )
+        words = f"mast that was given is of periods of {own:g} s, and the records last {records_of:g} s: make it for"
+        with pytest.raises(InputError, match=words):
+            brs.wind.with_mast(records, stress, position=(0, 0, 0))
+        brs.wind.with_mast(records, stress.assign_attrs(duration=records_of), position=(0, 0, 0))
+
+    @pytest.mark.parametrize(("step", "kind"), [(60, "shorter"), (1800, "longer"), (600, "")])
+    def test_rows_of_another_step_are_told(self, step, kind, caplog):
+        _, records = self.records(4)
+        time = records["time"].values[0] + np.arange(8) * np.timedelta64(step, "s")
+        gap = np.timedelta64(2400, "s")  # gaps make steps longer, and nothing of it is said
+        table = pd.DataFrame({"time": [*time, time[-1] + gap, time[-1] + 2 * gap], "uu": 1.2})
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        words = f"has rows {step} s apart, and the records last 600 s"
+        assert (words in caplog.text) == bool(kind)
+        assert (f"if rows are of {kind} periods, give those of 600 s" in caplog.text) == bool(kind)
+
     def test_a_sonic_that_stands_still_for_a_period_has_none_then(self, caplog):
         _, records = self.records(2)
         stress = xr.Dataset(

@@ -269,6 +269,13 @@ class TestMast:
         one, other = (brs.open_fit(tmp_path / name).summary() for name in ("with", "bare"))
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
+    def test_rows_a_minute_apart_are_told(self, file, table, tmp_path):
+        time = np.datetime64("2000-01-01") + np.arange(30) * np.timedelta64(60, "s")
+        pd.DataFrame({"time": time, "uu": 1.0}).to_csv(table, index=False)
+        done = run("records", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "with.nc")
+        assert "has rows 60 s apart, and the records last 600 s" in done.output
+        assert "it has stresses of 3 of 3 records of 600 s" in done.output
+
     def test_records_of_two_masts_are_not_fitted_together(self, file, table, tmp_path):
         for name, place in (("one", (-98, 5, 2)), ("two", (-98, -5, 2))):
             words = ("--mast", table, "--mast-position", *place, "-o", tmp_path / f"{name}.nc")

@@ -21,7 +21,7 @@ from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
 from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout
 from bayes_rs.records.record_options import RecordOptions
-from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
+from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
 
 _log = logging.getLogger(__name__)
@@ -78,7 +78,12 @@ def with_mast(
     ------
     InputError
         If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
-        realizable, or no period is one of the records.
+        realizable, no period is one of the records, or the Dataset is of periods of another length than these.
+
+    Notes
+    -----
+    A table does not say how long its periods are: rows whose starts are another time apart than the records' are taken,
+    and a warning says so.
 
     Examples
     --------
@@ -89,7 +94,7 @@ def with_mast(
     array([nan, 1.3])
     """
     _check_records(records)
-    return _joined(records, read_mast(mast, _duration(records)), position)
+    return _joined(records, read_mast(mast, _duration(records)), position, _log.warning)
 
 
 def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptions) -> MastStresses | None:
@@ -128,7 +133,7 @@ def add_mast(
     if mast is None or options.mast_position is None:
         return records
     _check_records(records)
-    found = _joined(records, mast, options.mast_position)
+    found = _joined(records, mast, options.mast_position, say)
     say(_words(found))
     return found
 
@@ -137,13 +142,14 @@ def _words(records: xr.Dataset) -> str:
     """Say where the mast is, and in how many records it measured."""
     place = ", ".join(f"{number:g}" for number in json.loads(records.attrs[MAST_POSITION]))
     there = np.isfinite(records[MAST].values).any(axis=-1)
-    return f"a mast at ({place}) m is data of the fit: it has stresses of {there.sum()} of {len(there)} records"
+    of = f"{there.sum()} of {len(there)} records"
+    return f"a mast at ({place}) m is data of the fit: it has stresses of {of} of {_duration(records):g} s"
 
 
 def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
     """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s."""
     if isinstance(source, (xr.Dataset, pd.DataFrame)):
-        return _of_stresses(source, "") if isinstance(source, xr.Dataset) else _of_table(source)
+        return _of_stresses(source, "", duration) if isinstance(source, xr.Dataset) else _of_table(source)
     if not isinstance(source, (str, Path)) and not (
         isinstance(source, Sequence) and all(isinstance(file, (str, Path)) for file in source)
     ):
@@ -152,7 +158,7 @@ def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Pa
     series = [file for file in files if is_toa5(file)]
     first = f"mast in {str(files[0])!r}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
     if len(series) == len(files):
-        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first)
+        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first, duration)
     if series:
         table = next(file for file in files if file not in series)
         raise InputError(
@@ -166,10 +172,11 @@ def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Pa
     return MastStresses(start, np.concatenate([table.stress for table in tables]), first)
 
 
-def _of_stresses(stresses: xr.Dataset, where: str) -> MastStresses:
-    """Return those of the Dataset of `sonic_stresses`."""
+def _of_stresses(stresses: xr.Dataset, where: str, duration: float) -> MastStresses:
+    """Return those of the Dataset of `sonic_stresses`, over periods of a duration, s."""
     if "stress" not in stresses or stresses["stress"].dims != ("record", "component"):
         raise InputError("Invalid mast: it has no 'stress' (record, component); give what sonic_stresses returns.")
+    check_stated(stresses.attrs.get("duration"), duration, where or "mast that was given")
     values = stresses["stress"].values.copy()
     still = np.any(values[:, :3] == 0.0, axis=1)
     if still.any():
@@ -199,10 +206,10 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     return MastStresses(start, values, where)
 
 
-def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike) -> xr.Dataset:
+def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike, say: Callable[[str], object]) -> xr.Dataset:
     """Return records with the stresses of a mast, each with those of its own period."""
     place = check_array(position, (3,), what="position of the mast")
-    row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where)
+    row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where, say)
     stress = np.where((row >= 0)[:, np.newaxis], mast.stress[row], np.nan)
     return records.assign(
         {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
