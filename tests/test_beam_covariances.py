@@ -730,6 +730,10 @@ class TestMast:
         [
             ({"uu": -1.0}, "a variance is above zero"),
             ({"uw": 9.0}, "beyond the root of uu times ww"),
+            (
+                {"uu": 1.0, "vv": 1.0, "ww": 1.0, "uv": 0.9, "uw": 0.9, "vw": -0.9},
+                "Row 0 of the mast that was given has the smallest principal variance -0.8 m² s⁻²: its covariances do",
+            ),
         ],
     )
     def test_what_no_wind_has_is_refused(self, change, words):

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.file_options import FileOptions
-from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
 from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout
@@ -25,7 +25,6 @@ from bayes_rs.reference_table import check_stated, matched_rows, reference_numbe
 from bayes_rs.wind.sonic import sonic_stresses
 
 _log = logging.getLogger(__name__)
-_ROUNDING = 1e-9
 
 
 class MastStresses(NamedTuple):
@@ -78,7 +77,8 @@ def with_mast(
     ------
     InputError
         If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
-        realizable, no period is one of the records, or the Dataset is of periods of another length than these.
+        realizable (or, of one known in part, a covariance is beyond its two variances), no period is one of the
+        records, or the Dataset is of periods of another length than these.
 
     Notes
     -----
@@ -202,7 +202,10 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     values = np.full((len(table), len(STRESSES)), np.nan)
     for name in there:
         values[:, STRESSES.index(name)] = reference_numbers(table[columns[name]], name, where)
-    _check_realizable(values, where)
+    impossible = first_impossible(values)
+    if impossible is not None:
+        row, words = impossible
+        raise InputError(f"Row {row} of the {where} {words}; leave empty what is not known.")
     return MastStresses(start, values, where)
 
 
@@ -223,22 +226,3 @@ def _check_records(records: xr.Dataset) -> None:
 
 def _duration(records: xr.Dataset) -> float:
     return float(records.attrs.get("duration", 600.0))
-
-
-def _check_realizable(values: FloatArray, where: str) -> None:
-    """Refuse variances that are not above zero, and covariances that are beyond them."""
-    bad = np.argwhere(values[:, :3] <= 0.0)
-    if len(bad):
-        row, column = (int(index) for index in bad[0])
-        raise InputError(
-            f"Row {row} of the {where} has {STRESSES[column]} {values[row, column]:g} m² s⁻²: a "
-            "variance is above zero; leave it empty where there is none."
-        )
-    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=3):
-        most = np.sqrt(values[:, i] * values[:, j])
-        beyond = np.flatnonzero(np.abs(values[:, column]) >= most * (1.0 - _ROUNDING))
-        if len(beyond):
-            raise InputError(
-                f"Row {beyond[0]} of the {where} has {STRESSES[column]} {values[beyond[0], column]:g} m² "
-                f"s⁻², beyond the root of {STRESSES[i]} times {STRESSES[j]}, {most[beyond[0]]:g}: no wind has that."
-            )
