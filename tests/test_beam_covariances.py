@@ -614,6 +614,50 @@ class TestMast:
         assert "believe what the variances say" not in brs.write_report(fit).read_text()
         assert [measured_by(fit, record) for record in (0, 1)] == ["the beams and the mast beside", "the beams"]
 
+    def test_a_mast_of_no_record_that_was_fitted_is_not_said_to_have_measured(self, tmp_path):
+        """Neither in the headline, nor on the page, nor beside covariances."""
+        scan, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1)))
+        beside = brs.wind.with_mast(records, table[:1], position=(-98, 0, 0)).isel(record=[1, 2])
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", target_ess=50)
+        assert fit.headline().decided.startswith("the beams measured")
+        assert measured_by(fit) == "the beams"
+        reference = pd.DataFrame({"time": beside["time"].values, "ti": 0.1})
+        page = brs.write_report(fit, tmp_path / "page.html", reference=reference).read_text()
+        assert "the stresses of a mast beside" not in page
+        assert "What a mast measured is among the data" not in page
+        assert "mast elsewhere" not in brs.budget(fit, records=[0])["source"].tolist()
+        pairs = brs.make_records(
+            brs.simulate(scan, FLOW, wind_speed=10.0, n_records=3, seed=12), scan, correlations=True
+        )
+        beside = brs.wind.with_mast(pairs, table[:1], position=(-98, 0, 0)).isel(record=[1, 2])
+        fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", target_ess=50, information="covariances")
+        assert fit.coherence().data == ("covariances",)
+
+    def test_how_many_records_it_gives_nothing_is_told(self, caplog):
+        _, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1)))
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        assert not caplog.text
+        brs.wind.with_mast(records, table[:1], position=(0, 0, 0))
+        assert "The mast has no stress of 2 of 3 records." in caplog.text
+
+    def test_one_that_gives_no_record_anything_is_refused(self, tmp_path):
+        """Empty columns, a sonic that covers half a record, and one that stands still."""
+        _, records = self.records(2)
+        table = mast_table(records, [FLOW.stresses(), np.full(6, np.nan)])
+        with pytest.raises(InputError, match="that was given has rows of 1 of 1 records, and no variance in any of"):
+            brs.wind.with_mast(records.isel(record=[1]), table, position=(0, 0, 0))
+        rng = np.random.default_rng(3)
+        for n_sample, moves in ((300, 1.0), (600, 0.0)):
+            time = records["time"].values[0] + np.arange(n_sample) * np.timedelta64(1, "s")
+            wind = {name: ("time", moves * rng.standard_normal(n_sample)) for name in "uvw"}
+            more = {name: ("time", np.zeros(n_sample)) for name in ("temperature", "status")}
+            file = write_toa5(tmp_path / "sonic.dat", xr.Dataset({**wind, **more}, coords={"time": time}))
+            with pytest.raises(InputError, match=r"sonic\.dat' has 1 row, and no variance in any of these"):
+                brs.wind.with_mast(records, file, position=(0, 0, 0))
+
     def test_a_mast_elsewhere_is_another_fit(self):
         """What tells fits apart, for a run that is resumed, knows where the mast stands."""
         _, records = self.records(2)

@@ -21,7 +21,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.beam_correlation import CORRELATION
-from bayes_rs.records.layout import MAST
+from bayes_rs.records.layout import mast_there
 
 NOTHING = "nothing"
 """What is doubtful where nothing is."""
@@ -150,10 +150,8 @@ def headline_of_ranges(
 
 def measured_by(fit: FitData, record: int | None = None) -> str:
     """Say whose data a fit, or one of its records, is of."""
-    beside = MAST in fit.records
-    if beside and record is not None:
-        beside = bool(np.isfinite(fit.records[MAST].values[record]).any())
-    return "the beams and the mast beside" if beside else "the beams"
+    there = mast_there(fit.records)[fit.fitted if record is None else [record]]
+    return "the beams and the mast beside" if there.any() else "the beams"
 
 
 def decided_words(shares: FloatArray, *, by: str = "the beams") -> str:

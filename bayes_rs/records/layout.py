@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from pydantic import Field, Json, model_validator
 
 from bayes_rs.errors import InputError
@@ -280,6 +281,13 @@ def check_layout(
         optional_dim="range",
         advice=advice,
     )
+
+
+def mast_there(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Return in which records a mast beside measured anything that a fit uses, shape (n_record,): a variance."""
+    if MAST not in records:
+        return np.zeros(records.sizes["record"], dtype=np.bool_)
+    return np.asarray(np.isfinite(records[MAST].values[:, :3]).any(axis=1))
 
 
 def with_turbine(records: xr.Dataset, name: str) -> xr.Dataset:

@@ -19,7 +19,7 @@ from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
-from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout
+from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout, mast_there
 from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
@@ -77,13 +77,13 @@ def with_mast(
     ------
     InputError
         If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
-        realizable (or, of one known in part, a covariance is beyond its two variances), no period is one of the
-        records, or the Dataset is of periods of another length than these.
+        realizable (or, of one known in part, a covariance is beyond its two variances), no period with a variance is
+        one of the records, or the Dataset is of periods of another length than these.
 
     Notes
     -----
     A table does not say how long its periods are: rows whose starts are another time apart than the records' are taken,
-    and a warning says so.
+    and a warning says so. Another says how many records the mast gives nothing, if these are some.
 
     Examples
     --------
@@ -94,7 +94,11 @@ def with_mast(
     array([nan, 1.3])
     """
     _check_records(records)
-    return _joined(records, read_mast(mast, _duration(records)), position, _log.warning)
+    found = _joined(records, read_mast(mast, _duration(records)), position, _log.warning)
+    there = mast_there(found)
+    if not there.all():
+        _log.warning("The mast has no stress of %d of %d records.", (~there).sum(), len(there))
+    return found
 
 
 def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptions) -> MastStresses | None:
@@ -141,13 +145,26 @@ def add_mast(
 def _words(records: xr.Dataset) -> str:
     """Say where the mast is, and in how many records it measured."""
     place = ", ".join(f"{number:g}" for number in json.loads(records.attrs[MAST_POSITION]))
-    there = np.isfinite(records[MAST].values).any(axis=-1)
+    there = mast_there(records)
     of = f"{there.sum()} of {len(there)} records"
     return f"a mast at ({place}) m is data of the fit: it has stresses of {of} of {_duration(records):g} s"
 
 
 def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
-    """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s."""
+    """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s.
+
+    Raises
+    ------
+    InputError
+        If it is not what `with_mast` takes, or has no variance at all.
+    """
+    found = _read(source, duration)
+    if not np.isfinite(found.stress[:, :3]).any():
+        raise _nothing(found.where, f"{len(found.start)} row{'s' * (len(found.start) != 1)}")
+    return found
+
+
+def _read(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
     if isinstance(source, (xr.Dataset, pd.DataFrame)):
         return _of_stresses(source, "", duration) if isinstance(source, xr.Dataset) else _of_table(source)
     if not isinstance(source, (str, Path)) and not (
@@ -214,9 +231,19 @@ def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike, say: C
     place = check_array(position, (3,), what="position of the mast")
     row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where, say)
     stress = np.where((row >= 0)[:, np.newaxis], mast.stress[row], np.nan)
-    return records.assign(
+    found = records.assign(
         {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
     ).assign_attrs({MAST_POSITION: json.dumps(place.tolist())})
+    if not mast_there(found).any():
+        raise _nothing(mast.where, f"rows of {(row >= 0).sum()} of {len(row)} records")
+    return found
+
+
+def _nothing(where: str, rows: str) -> InputError:
+    return InputError(
+        f"The {where} has {rows}, and no variance in any of these: fill its columns, or give a sonic's series that "
+        "covers whole records and moves in u, v and w; or leave the mast out."
+    )
 
 
 def _check_records(records: xr.Dataset) -> None:
