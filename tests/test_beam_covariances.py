@@ -658,6 +658,13 @@ class TestMast:
             with pytest.raises(InputError, match=r"sonic\.dat' has 1 row, and no variance in any of these"):
                 brs.wind.with_mast(records, file, position=(0, 0, 0))
 
+    def test_one_that_has_lost_its_place_is_given_anew(self):
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        lost = brs.wind.with_mast(records, table, position=(0, 0, 0))
+        del lost.attrs["mast_position"]
+        assert brs.wind.with_mast(lost, table, position=(0, 0, 1)).attrs["mast_position"] == "[0.0, 0.0, 1.0]"
+
     def test_a_mast_elsewhere_is_another_fit(self):
         """What tells fits apart, for a run that is resumed, knows where the mast stands."""
         _, records = self.records(2)
