@@ -19,6 +19,7 @@ from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
+from bayes_rs.records.belief import NOT_BELIEVED, believed
 from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout, mast_there
 from bayes_rs.records.record_options import RecordOptions
 from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
@@ -78,12 +79,15 @@ def with_mast(
     InputError
         If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
         realizable (or, of one known in part, a covariance is beyond its two variances), no period with a variance is
-        one of the records, or the Dataset is of periods of another length than these.
+        one of the records, most stresses are such as no atmosphere has, or the Dataset is of
+        periods of another length than these.
 
     Notes
     -----
     A table does not say how long its periods are: rows whose starts are another time apart than the records' are taken,
-    and a warning says so. Another says how many records the mast gives nothing, if these are some.
+    and a warning says so. Stresses above 900 m² s⁻² (the square of a third of the records' ``velocity_limit``) count as
+    missing, as variances of beams do, and are among the doubts of a fit. Another warning says how many records
+    the mast gives nothing, if these are some.
 
     Examples
     --------
@@ -231,10 +235,22 @@ def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike, say: C
     place = check_array(position, (3,), what="position of the mast")
     row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where, say)
     stress = np.where((row >= 0)[:, np.newaxis], mast.stress[row], np.nan)
-    found = records.assign(
-        {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
-    ).assign_attrs({MAST_POSITION: json.dumps(place.tolist())})
+    about = {"units": "m2 s-2", "long_name": "stresses that a mast measured"}
+    attributes = dict(records.attrs)
+    before = json.loads(attributes.pop(NOT_BELIEVED, "{}"))
+    beside = believed(xr.Dataset({MAST: (("record", "stress"), stress, about)}, attrs=attributes))
+    now = json.loads(beside.attrs.get(NOT_BELIEVED, "{}"))
+    told = {**{name: of for name, of in before.items() if name != MAST}, **now}  # a mast that was there is replaced
+    found = records.assign({MAST: beside[MAST]})
+    found.attrs = {**attributes, MAST_POSITION: json.dumps(place.tolist())}
+    if told:
+        found.attrs[NOT_BELIEVED] = json.dumps(told)
     if not mast_there(found).any():
+        if of := now.get(MAST):
+            raise InputError(
+                f"The {mast.where} has no stress that can be believed: {of['count']} of {of['of']} are beyond "
+                f"{of['limit']:g} m² s⁻², which no atmosphere has; check their unit."
+            )
         raise _nothing(mast.where, f"rows of {(row >= 0).sum()} of {len(row)} records")
     return found
 
