@@ -673,6 +673,31 @@ class TestMast:
         one, two = (fit_inputs(one, None, NoiseOptions()) for one in (here, there))
         assert digest(one) != digest(two)
 
+    @pytest.mark.parametrize("option", ["mast_log_sd", "coherence_log_sd"])
+    def test_what_only_counts_with_it_is_refused_without(self, option):
+        """Also in Python; records that hold a mast use both."""
+        scan, records = self.records(2)
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        options = {"seed": 1, "noise": noise, "campaign": "off", "target_ess": 50}
+        with pytest.raises(InputError, match=f"The option {option} is only used with"):
+            brs.fit(records, scan, **options, **{option: 0.6})
+        beside = brs.wind.with_mast(
+            records, mast_table(records, np.tile(FLOW.stresses(), (2, 1))), position=(-98, 0, 0)
+        )
+        one, other = (brs.fit(beside, scan, **options, **more).summary() for more in ({}, {option: 0.6}))
+        assert (one["sd"] != other["sd"]).any()
+
+    def test_a_covariance_without_its_variances_is_told(self, caplog):
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        table.loc[1, "vv"] = np.nan
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        words = "has uv without uu or vv beside it in 1 of 2 rows: it is not used there."
+        assert words in caplog.text
+        caplog.clear()
+        brs.wind.with_mast(records, table.drop(columns=["vv", "uv", "vw"]), position=(0, 0, 0))
+        assert not caplog.text
+
     def test_a_cup_beside_tells_uu_alone(self):
         scan, records = self.records(3)
         cup = pd.DataFrame({"time": records["time"].values, "uu": 1.2})

@@ -302,6 +302,8 @@ class TestMast:
         [
             (("--mast", "mast.csv"), "The option mast needs mast_position (--mast-position X Y Z): say where"),
             (("--mast-position", 1, 2, 3), "The option mast_position is only used with mast: give its files"),
+            (("--mast-log-sd", 0.4), "The option mast_log_sd is only used with a mast beside the beams: give that"),
+            (("--coherence-log-sd", 0.4), "The option coherence_log_sd is only used with information 'covariances'"),
             (("--mast", "none.csv", *PLACE), "File 'none.csv' does not exist: check its path."),
             (("--mast", "mast.csv", *PLACE, "--yaw-sd", 2), "Invalid uncertain yaw_error with a mast beside the beams"),
             (("--mast", "mast.csv", *PLACE, "--target", "sonic"), "Invalid target 'sonic' with a mast beside the"),

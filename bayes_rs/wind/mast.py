@@ -84,6 +84,8 @@ def with_mast(
 
     Notes
     -----
+    A covariance is used where both its variances are beside it; a warning names one that is not.
+
     A table does not say how long its periods are: rows whose starts are another time apart than the records' are taken,
     and a warning says so. Stresses above 900 m² s⁻² (the square of a third of the records' ``velocity_limit``) count as
     missing, as variances of beams do, and are among the doubts of a fit. Another warning says how many records
@@ -223,6 +225,13 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     values = np.full((len(table), len(STRESSES)), np.nan)
     for name in there:
         values[:, STRESSES.index(name)] = reference_numbers(table[columns[name]], name, where)
+    for column, (i, j) in zip((3, 4, 5), ((0, 1), (0, 2), (1, 2)), strict=True):
+        unused = np.isfinite(values[:, column]) & ~np.isfinite(values[:, [i, j]]).all(axis=1)
+        if unused.any():
+            _log.warning(
+                "The %s has %s without %s or %s beside it in %d of %d rows: it is not used there.",
+                *(where, STRESSES[column], STRESSES[i], STRESSES[j], unused.sum(), len(values)),
+            )
     impossible = first_impossible(values)
     if impossible is not None:
         row, words = impossible
