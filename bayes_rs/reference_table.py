@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +11,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray
+from bayes_rs._validation import FloatArray, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.stated_time import stated_times
 
+_log = logging.getLogger(__name__)
 _NEAR = 0.05
 """A row belongs to a record if their starts differ by at most this share of the record's length."""
 
@@ -58,10 +61,51 @@ def reference_numbers(column: pd.Series[Any], name: str, where: str) -> FloatArr
     return np.asarray(found)
 
 
+def check_stated(stated: Any, duration: float, where: str) -> None:
+    """Check that a table of periods whose length it states, s, is of the records' length; None states nothing.
+
+    Raises
+    ------
+    InputError
+        If it is of another one.
+    """
+    if stated is None:
+        return
+    own = check_positive(stated, what=f"duration of the {where}", unit="s")
+    if not np.isclose(own, duration):
+        raise InputError(
+            f"The {where} is of periods of {own:g} s, and the records last {duration:g} s: make it for these, "
+            f"as with bayes_rs.wind.sonic_stresses(series, duration={duration:g})."
+        )
+
+
 def matched_rows(
-    start: NDArray[np.datetime64], time: NDArray[np.datetime64], duration: float, where: str
+    start: NDArray[np.datetime64],
+    time: NDArray[np.datetime64],
+    duration: float,
+    where: str,
+    say: Callable[[str], object] = _log.warning,
 ) -> NDArray[np.int64]:
-    """Return the row of each record, −1 where there is none."""
+    """Return the row of each record, −1 where there is none.
+
+    Parameters
+    ----------
+    start : ndarray of datetime64, shape (n,)
+        Starts of the table's periods.
+    time : ndarray of datetime64, shape (n_record,)
+        Starts of the records.
+    duration : float
+        Length of a record, s.
+    where : str
+        What the table is and where, in words.
+    say : callable
+        Takes a line that says that the rows are as far apart as periods of another length are.
+
+    Raises
+    ------
+    InputError
+        If no row is of any record.
+    """
     known = ~np.isnat(time)
     if not len(start) or not known.any():
         raise InputError(
@@ -80,7 +124,28 @@ def matched_rows(
             f"No row of the {where} ({span_words(start)}) begins with a record ({span_words(time[known])}): check its "
             "time zone, and that its times are starts."
         )
+    if words := _other_step(np.diff(ordered) / 1e9, duration):
+        say(f"The {where} {words}")
     return np.where(near, order[nearest], -1)
+
+
+def _other_step(steps: FloatArray, duration: float) -> str:
+    """Say that rows so far apart, s, seem to be of periods of another length than records; nothing if they do not.
+
+    Gaps make steps longer, never shorter: rows of longer periods have no step as short as a record.
+    """
+    if not len(steps):
+        return ""
+    step = float(np.median(steps))
+    shorter = step < (1.0 - _NEAR) * duration
+    if not shorter:
+        step = float(steps.min())
+        if step <= (1.0 + _NEAR) * duration:
+            return ""
+    return (
+        f"has rows {step:g} s apart, and the records last {duration:g} s: the row that begins with a record is taken "
+        f"for all of it; if rows are of {'shorter' if shorter else 'longer'} periods, give those of {duration:g} s"
+    )
 
 
 def span_words(time: NDArray[np.datetime64]) -> str:

@@ -226,7 +226,7 @@ class TestOpening:
         found = open_place(place_below(start, "<b>six.parquet"), "six", settings, "", "")
         np.testing.assert_allclose(found.records["mast_stress"].values[:, 0], 1.1)
         np.testing.assert_allclose(found.records["tilt"].values, 0.5)
-        assert "a mast at (-80, 10, 0) m is data of the fit: it has stresses of 6 of 6 records" in found.lines
+        assert "a mast at (-80, 10, 0) m is data of the fit: it has stresses of 6 of 6 records of 600 s" in found.lines
         assert "tilt and roll from 1 files, of 6 of 6 records" in found.lines
         assert with_fit(found, settings).fit.n_fitted == 6
 

@@ -465,6 +465,16 @@ class TestFit:
         mean = np.nan_to_num(pattern).mean(axis=0)
         assert fit.coherence().pattern == pytest.approx(3.0 * np.sum(mean**2) / 15.0)
 
+    @pytest.mark.parametrize("without", [[1], [0, 1]])
+    def test_records_without_any_go_by_their_variances_and_are_told(self, both, without):
+        scan, records, _ = both
+        some = records.isel(record=[0, 1]).copy(deep=True)
+        some["beam_correlation"][without] = np.nan
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(some, scan, seed=1, information="covariances", campaign="off", noise=noise)
+        words = f"{len(without)} of 2 records hold no covariances, and go by their variances alone"
+        assert words in fit.headline().doubtful
+
     def test_two_ranges_tell_more_than_one(self):
         ratio = {}
         for name in ("4-beam@focus_distance=100", "4-beam@focus_distance=80+120"):
@@ -604,6 +614,57 @@ class TestMast:
         assert "believe what the variances say" not in brs.write_report(fit).read_text()
         assert [measured_by(fit, record) for record in (0, 1)] == ["the beams and the mast beside", "the beams"]
 
+    def test_a_mast_of_no_record_that_was_fitted_is_not_said_to_have_measured(self, tmp_path):
+        """Neither in the headline, nor on the page, nor beside covariances."""
+        scan, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1)))
+        beside = brs.wind.with_mast(records, table[:1], position=(-98, 0, 0)).isel(record=[1, 2])
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", target_ess=50)
+        assert fit.headline().decided.startswith("the beams measured")
+        assert measured_by(fit) == "the beams"
+        reference = pd.DataFrame({"time": beside["time"].values, "ti": 0.1})
+        page = brs.write_report(fit, tmp_path / "page.html", reference=reference).read_text()
+        assert "the stresses of a mast beside" not in page
+        assert "What a mast measured is among the data" not in page
+        assert "mast elsewhere" not in brs.budget(fit, records=[0])["source"].tolist()
+        pairs = brs.make_records(
+            brs.simulate(scan, FLOW, wind_speed=10.0, n_records=3, seed=12), scan, correlations=True
+        )
+        beside = brs.wind.with_mast(pairs, table[:1], position=(-98, 0, 0)).isel(record=[1, 2])
+        fit = brs.fit(beside, scan, seed=1, noise=noise, campaign="off", target_ess=50, information="covariances")
+        assert fit.coherence().data == ("covariances",)
+
+    def test_how_many_records_it_gives_nothing_is_told(self, caplog):
+        _, records = self.records(3)
+        table = mast_table(records, np.tile(FLOW.stresses(), (3, 1)))
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        assert not caplog.text
+        brs.wind.with_mast(records, table[:1], position=(0, 0, 0))
+        assert "The mast has no stress of 2 of 3 records." in caplog.text
+
+    def test_one_that_gives_no_record_anything_is_refused(self, tmp_path):
+        """Empty columns, a sonic that covers half a record, and one that stands still."""
+        _, records = self.records(2)
+        table = mast_table(records, [FLOW.stresses(), np.full(6, np.nan)])
+        with pytest.raises(InputError, match="that was given has rows of 1 of 1 records, and no variance in any of"):
+            brs.wind.with_mast(records.isel(record=[1]), table, position=(0, 0, 0))
+        rng = np.random.default_rng(3)
+        for n_sample, moves in ((300, 1.0), (600, 0.0)):
+            time = records["time"].values[0] + np.arange(n_sample) * np.timedelta64(1, "s")
+            wind = {name: ("time", moves * rng.standard_normal(n_sample)) for name in "uvw"}
+            more = {name: ("time", np.zeros(n_sample)) for name in ("temperature", "status")}
+            file = write_toa5(tmp_path / "sonic.dat", xr.Dataset({**wind, **more}, coords={"time": time}))
+            with pytest.raises(InputError, match=r"sonic\.dat' has 1 row, and no variance in any of these"):
+                brs.wind.with_mast(records, file, position=(0, 0, 0))
+
+    def test_one_that_has_lost_its_place_is_given_anew(self):
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        lost = brs.wind.with_mast(records, table, position=(0, 0, 0))
+        del lost.attrs["mast_position"]
+        assert brs.wind.with_mast(lost, table, position=(0, 0, 1)).attrs["mast_position"] == "[0.0, 0.0, 1.0]"
+
     def test_a_mast_elsewhere_is_another_fit(self):
         """What tells fits apart, for a run that is resumed, knows where the mast stands."""
         _, records = self.records(2)
@@ -611,6 +672,31 @@ class TestMast:
         here, there = (brs.wind.with_mast(records, table, position=(0, y, 0)) for y in (0, 50))
         one, two = (fit_inputs(one, None, NoiseOptions()) for one in (here, there))
         assert digest(one) != digest(two)
+
+    @pytest.mark.parametrize("option", ["mast_log_sd", "coherence_log_sd"])
+    def test_what_only_counts_with_it_is_refused_without(self, option):
+        """Also in Python; records that hold a mast use both."""
+        scan, records = self.records(2)
+        noise = brs.noise.theory(scan, FLOW, wind_speed=10.0)
+        options = {"seed": 1, "noise": noise, "campaign": "off", "target_ess": 50}
+        with pytest.raises(InputError, match=f"The option {option} is only used with"):
+            brs.fit(records, scan, **options, **{option: 0.6})
+        beside = brs.wind.with_mast(
+            records, mast_table(records, np.tile(FLOW.stresses(), (2, 1))), position=(-98, 0, 0)
+        )
+        one, other = (brs.fit(beside, scan, **options, **more).summary() for more in ({}, {option: 0.6}))
+        assert (one["sd"] != other["sd"]).any()
+
+    def test_a_covariance_without_its_variances_is_told(self, caplog):
+        _, records = self.records(2)
+        table = mast_table(records, np.tile(FLOW.stresses(), (2, 1)))
+        table.loc[1, "vv"] = np.nan
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        words = "has uv without uu or vv beside it in 1 of 2 rows: it is not used there."
+        assert words in caplog.text
+        caplog.clear()
+        brs.wind.with_mast(records, table.drop(columns=["vv", "uv", "vw"]), position=(0, 0, 0))
+        assert not caplog.text
 
     def test_a_cup_beside_tells_uu_alone(self):
         scan, records = self.records(3)
@@ -677,6 +763,32 @@ class TestMast:
         with pytest.raises(InputError, match=r"is a sonic's series, and that in .*t\.csv' is none: give files of one"):
             brs.wind.with_mast(records, [file, tmp_path / "t.csv"], position=(0, 0, 0))
 
+    @pytest.mark.parametrize(("own", "records_of"), [(600.0, 300.0), (60.0, 600.0)])
+    def test_stresses_of_another_averaging_time_are_refused(self, own, records_of):
+        scan = brs.load_scan("2-beam")
+        series = brs.simulate(scan, FLOW, wind_speed=10.0, n_records=2, seed=1)
+        records = brs.make_records(series, scan, duration=records_of)
+        stress = xr.Dataset(
+            {"stress": (("record", "component"), np.tile(FLOW.stresses(), (records.sizes["record"], 1)))},
+            coords={"time": ("record", records["time"].values), "component": list(brs.STRESSES)},
+            attrs={"duration": own},
+        )
+        words = f"mast that was given is of periods of {own:g} s, and the records last {records_of:g} s: make it for"
+        with pytest.raises(InputError, match=words):
+            brs.wind.with_mast(records, stress, position=(0, 0, 0))
+        brs.wind.with_mast(records, stress.assign_attrs(duration=records_of), position=(0, 0, 0))
+
+    @pytest.mark.parametrize(("step", "kind"), [(60, "shorter"), (1800, "longer"), (600, "")])
+    def test_rows_of_another_step_are_told(self, step, kind, caplog):
+        _, records = self.records(4)
+        time = records["time"].values[0] + np.arange(8) * np.timedelta64(step, "s")
+        gap = np.timedelta64(2400, "s")  # gaps make steps longer, and nothing of it is said
+        table = pd.DataFrame({"time": [*time, time[-1] + gap, time[-1] + 2 * gap], "uu": 1.2})
+        brs.wind.with_mast(records, table, position=(0, 0, 0))
+        words = f"has rows {step} s apart, and the records last 600 s"
+        assert (words in caplog.text) == bool(kind)
+        assert (f"if rows are of {kind} periods, give those of 600 s" in caplog.text) == bool(kind)
+
     def test_a_sonic_that_stands_still_for_a_period_has_none_then(self, caplog):
         _, records = self.records(2)
         stress = xr.Dataset(
@@ -694,6 +806,10 @@ class TestMast:
         [
             ({"uu": -1.0}, "a variance is above zero"),
             ({"uw": 9.0}, "beyond the root of uu times ww"),
+            (
+                {"uu": 1.0, "vv": 1.0, "ww": 1.0, "uv": 0.9, "uw": 0.9, "vw": -0.9},
+                "Row 0 of the mast that was given has the smallest principal variance -0.8 m² s⁻²: its covariances do",
+            ),
         ],
     )
     def test_what_no_wind_has_is_refused(self, change, words):

@@ -324,6 +324,13 @@ class TestMast:
         one, other = (brs.open_fit(tmp_path / name).summary() for name in ("with", "bare"))
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
+    def test_rows_a_minute_apart_are_told(self, file, table, tmp_path):
+        time = np.datetime64("2000-01-01") + np.arange(30) * np.timedelta64(60, "s")
+        pd.DataFrame({"time": time, "uu": 1.0}).to_csv(table, index=False)
+        done = run("records", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "with.nc")
+        assert "has rows 60 s apart, and the records last 600 s" in done.output
+        assert "it has stresses of 3 of 3 records of 600 s" in done.output
+
     def test_records_of_two_masts_are_not_fitted_together(self, file, table, tmp_path):
         for name, place in (("one", (-98, 5, 2)), ("two", (-98, -5, 2))):
             words = ("--mast", table, "--mast-position", *place, "-o", tmp_path / f"{name}.nc")
@@ -350,6 +357,8 @@ class TestMast:
         [
             (("--mast", "mast.csv"), "The option mast needs mast_position (--mast-position X Y Z): say where"),
             (("--mast-position", 1, 2, 3), "The option mast_position is only used with mast: give its files"),
+            (("--mast-log-sd", 0.4), "The option mast_log_sd is only used with a mast beside the beams: give that"),
+            (("--coherence-log-sd", 0.4), "The option coherence_log_sd is only used with information 'covariances'"),
             (("--mast", "none.csv", *PLACE), "File 'none.csv' does not exist: check its path."),
             (("--mast", "mast.csv", *PLACE, "--yaw-sd", 2), "Invalid uncertain yaw_error with a mast beside the beams"),
             (("--mast", "mast.csv", *PLACE, "--target", "sonic"), "Invalid target 'sonic' with a mast beside the"),
@@ -399,5 +408,8 @@ class TestMast:
 
     def test_the_wind_has_no_use_for_one(self, file, table, tmp_path):
         done = run("wind", file, *ANGLE, "--mast", table, *self.PLACE, "-o", tmp_path / "w.csv")
+        assert done.exit_code == 2
+        assert "No such option" in done.output
+        done = run("wind", file, *ANGLE, "--correlations", "-o", tmp_path / "w.csv")  # nor for these
         assert done.exit_code == 2
         assert "No such option" in done.output

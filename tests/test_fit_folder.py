@@ -445,14 +445,6 @@ class TestResume:
             with pytest.raises(InputError, match=f"is of a run that differs in {what}, so it cannot be resumed"):
                 fit_to(data, SCAN, plain, resume=True, **{**OPTIONS, "noise": noise})
 
-    def test_other_times_are_refused_where_they_make_no_stream(self, records, tmp_path):
-        # records that start at the same time draw by their numbers, and the table of the first run has its times
-        some = records.isel(record=EMPTY_PART)
-        at = [some.assign_coords(time=("record", np.full(PART, np.datetime64(day, "ns")))) for day in (0, 1)]
-        fit_to(at[0], SCAN, tmp_path / "out", **OPTIONS)
-        with pytest.raises(InputError, match="is of a run that differs in records, so it cannot be resumed"):
-            fit_to(at[1], SCAN, tmp_path / "out", resume=True, **OPTIONS)
-
     def test_an_existing_folder_is_refused_and_kept(self, records, plain, tmp_path):
         before = parts(plain)
         with pytest.raises(InputError, match="from a run of the same data and options: resume to go on with it, or ov"):

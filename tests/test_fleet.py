@@ -79,6 +79,15 @@ class TestTurbines:
         assert found["turbine"].values.tolist() == np.repeat(TURBINES, N_EACH).tolist()
         assert len(np.unique(found["time"].values)) == N_EACH
 
+    def test_folders_and_patterns_of_records_are_opened_as_their_files_are(self, files, tmp_path):
+        whole = open_record_files(sorted(files), SCAN)
+        for named in (files[0].parent, files[0].parent / "*.nc"):
+            xr.testing.assert_identical(open_record_files([named], SCAN), whole)
+        (tmp_path / "a.csv").write_text("time,beam,radial_velocity\n")
+        (tmp_path / "b.nc").write_bytes(files[0].read_bytes())
+        for named in (tmp_path, tmp_path / "none" / "*.nc", tmp_path / "missing.nc"):  # not all are records, and none
+            assert open_record_files([named], SCAN) is None
+
     def test_a_turbine_has_the_numbers_that_it_has_alone(self, files, turbines):
         fleet = fit(open_record_files(files, SCAN), SCAN, **PLAIN)
         alone = fit(turbines[1], SCAN, **PLAIN)
@@ -95,6 +104,9 @@ class TestTurbines:
             InputError, match=r"^6 records start at the same time as another, the first at .*overlap\.$"
         ):
             open_record_files([files[0], files[0]], SCAN)
+        records = open_record_files([files[0]], SCAN)
+        with pytest.raises(InputError, match=r"^6 records start at the same time as another, .*give every record once"):
+            fit(xr.concat([records, records], "record"), SCAN, **PLAIN)
 
     def test_records_without_a_name_are_told_how_to_get_one(self, turbines, tmp_path):
         for name in ("a.nc", "b.nc"):

@@ -10,6 +10,7 @@ import pytest
 from fit_scene import OPTIONS, SCAN, fit_to, make_records
 
 import bayes_rs as brs
+from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.direction_table import direction_name
 from bayes_rs.fits.flags import FLAGS
 from bayes_rs.fits.headline import NOTHING, _doubts, decided_words, headline_of_ranges
@@ -133,6 +134,25 @@ class TestHeadline:
             "the beams measured uu at all ranges, vv at 1 of 2; ww, uv, uw, vw are mostly the prior's at all"
         )
         assert told.doubtful.startswith("1 of 3 ranges without a record that can be fitted; 1 of 4 records: the wind")
+
+
+def test_of_ranges_that_speak_against_the_coherence_the_worst_is_told(monkeypatch):
+    misfits = {0: 2.9, 1: 3.7, 2: 1.0}
+
+    def of(fit):
+        return SimpleNamespace(
+            doubted=fit.misfit > 2.0, misfit=fit.misfit, in_words=lambda: f"the covariances scatter {fit.misfit} times"
+        )
+
+    monkeypatch.setattr("bayes_rs.fits.headline.coherence_of", of)
+    source = SimpleNamespace(datasets=("summary", "pairs_pattern", VARIANCES))
+    run = {"doubts": [], "campaign": {"on": False}, "settings": {"fit": {"information": "variances"}}}
+    fits = [
+        SimpleNamespace(flag=np.zeros(2, dtype=np.int64), run=run, source=source, misfit=one)
+        for one in misfits.values()
+    ]
+    assert _doubts({}, fits)[0] == "at 2 of 3 ranges, here the worst: the covariances scatter 3.7 times"
+    assert _doubts({}, fits[1:2])[0] == "the covariances scatter 3.7 times"
 
 
 def test_a_direction_has_a_name():

@@ -527,6 +527,47 @@ class TestRecordsOfAUser:
         assert found.n_fitted == 39
         assert "which no atmosphere has" in found.failures[0]
 
+    @pytest.mark.parametrize("value", [9999.0, 1e20, np.inf])
+    def test_stresses_of_a_mast(self, value):
+        """Where it is added, and in records that hold it."""
+        records = self.records(3)
+        table = pd.DataFrame({"time": records["time"].values, "uu": [1.0, 1.2, 9999.0], "vv": 0.8})
+        found = brs.wind.with_mast(records, table, position=(0, 0, 0))
+        np.testing.assert_array_equal(found["mast_stress"].values[:, 0], [1.0, 1.2, np.nan])
+        line = "1 of 6 mast's stresses of the records are beyond 900 m² s⁻², which no atmosphere has, and are not used"
+        assert [one[: len(line)] for one in doubt_lines(found)] == [line]
+        held = brs.wind.with_mast(records, table[:2], position=(0, 0, 0))
+        held["mast_stress"].values[2, :2] = value, 0.8
+        fits = [
+            brs.fit(one, HUB, seed=1, noise=plain_noise(HUB), target_ess=50, campaign="off") for one in (found, held)
+        ]
+        pd.testing.assert_frame_equal(fits[0].summary(), fits[1].summary())
+        assert all(fit.failures[0].startswith(line) for fit in fits)
+
+    @pytest.mark.parametrize(
+        ("factor", "words"),
+        [
+            (1e4, "The records hold mast's stresses that no wind has: 15 of 15 are beyond 900"),
+            (1e6, "15 of 15 are beyond"),
+        ],
+    )
+    def test_a_mast_in_another_unit_is_refused(self, factor, words):
+        records = self.records(5)
+        stress = factor * np.random.default_rng(2).uniform(1.0, 2.0, (5, 3))
+        table = pd.DataFrame({"time": records["time"].values, **dict(zip(("uu", "vv", "ww"), stress.T, strict=True))})
+        with pytest.raises(InputError, match=f"{words}.*; check their unit"):
+            brs.wind.with_mast(records, table, position=(0, 0, 0))
+
+    def test_what_was_told_before_is_told_beside(self):
+        records = self.records(3)
+        records["variance"].values[0, 0] = 9999.0
+        table = pd.DataFrame({"time": records["time"].values, "uu": [1.0, 1.2, 9999.0]})
+        found = brs.wind.with_mast(believed(records), table, position=(0, 0, 0))
+        assert len(doubt_lines(found)) == 2
+        again = brs.wind.with_mast(found, table[:2], position=(0, 0, 0))
+        assert len(doubt_lines(again)) == 1
+        assert "mast" not in doubt_lines(again)[0]
+
     def test_the_noise_that_is_made_does_not_see_them(self):
         records = self.records(3)
         records["wind_speed"].values[:] = [9.0, 9999.0, 11.0]

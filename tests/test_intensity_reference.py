@@ -131,6 +131,10 @@ class TestSonic:
         found = intensity_reference(tmp_path / "mast.dat", time, 300.0)
         np.testing.assert_allclose(found, intensity_reference(sonic_stresses(series, duration=300.0), time, 300.0))
 
+    def test_stresses_of_another_length_are_refused(self, series):
+        with pytest.raises(InputError, match="is of periods of 300 s, and the records last 600 s: make it for these"):
+            intensity_reference(sonic_stresses(series, duration=300.0), START, 600.0)
+
     def test_another_dataset_is_refused(self, series):
         with pytest.raises(InputError, match=r"Invalid reference without 'stress': give .*sonic_stresses"):
             intensity_reference(series, START, 600.0)
@@ -154,6 +158,14 @@ class TestMatching:
         assert ti[0] == pytest.approx(0.1)
         assert np.isnan(ti[1:]).all()
         assert speed[:2].tolist() == [10.0, 10.0]
+
+    def test_rows_of_another_step_are_told(self, caplog):
+        time = START[0] + np.arange(41) * np.timedelta64(60, "s")
+        intensity_reference(pd.DataFrame({"time": time, "ti": 0.1}), START, 600.0)
+        assert "The reference that was given has rows 60 s apart, and the records last 600 s" in caplog.text
+        caplog.clear()
+        intensity_reference(table(), START, 600.0)
+        assert not caplog.text
 
     def test_records_without_a_time_have_none(self):
         time = START.copy()

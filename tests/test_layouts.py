@@ -376,6 +376,36 @@ class TestRecords:
         bad = records.assign(yaw=records["yaw"].assign_attrs(units="rad"))
         assert "yaw is in 'rad'" in refused(lambda: brs.fit(bad, SCAN, noise=plain_noise(SCAN), seed=1))
 
+    @pytest.mark.parametrize(
+        ("stress", "place", "words"),
+        [
+            ([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], None, "they have mast_stress, and no attribute mast_position"),
+            ([1.0, -1.0, 1.0, 0.0, 0.0, 0.0], "[0, 0, 0]", "mast_stress of record 2 has vv -1 m² s⁻²: a variance is"),
+            ([1.0, -np.inf, 1.0, 0.0, 0.0, 0.0], "[0, 0, 0]", "mast_stress of record 2 has vv -inf m² s⁻²"),
+            (
+                [1.0, 1.0, 1.0, 0.0, 0.0, 0.0][:5],
+                "[0, 0, 0]",
+                "mast_stress holds 5 numbers of a record, and must hold uu",
+            ),
+            ([1.0, 1.0, 1.0, 2.0, 0.0, 0.0], "[0, 0, 0]", "mast_stress of record 2 has uv 2 m² s⁻², beyond the root"),
+            (
+                [1.0, 1.0, 1.0, 0.9, 0.9, -0.9],
+                "[0, 0, 0]",
+                "mast_stress of record 2 has the smallest principal variance",
+            ),
+        ],
+    )
+    def test_a_mast_has_a_place_and_measured_what_a_wind_may_have(self, records, tmp_path, stress, place, words):
+        values = np.full((N_RECORD, len(stress)), np.nan)
+        values[2] = stress
+        bad = records.assign(mast_stress=(("record", "stress"), values))
+        bad = bad if place is None else bad.assign_attrs(mast_position=place)
+        text = refused(lambda: brs.fit(bad, SCAN, noise=plain_noise(SCAN), seed=1))
+        assert words in text
+        assert "give the mast anew with bayes_rs.wind.with_mast" in text
+        bad.to_netcdf(tmp_path / "records.nc", engine="h5netcdf")
+        assert words in refused(lambda: open_record_files([tmp_path / "records.nc"], SCAN))
+
     def test_what_make_records_makes_fits(self, made):
         check_layout(made, "variance", "beam", "time")
 

@@ -249,6 +249,8 @@ class TestDrawsOfAFit:
         one = brs.export_boxes(found, 0, tmp_path / "one", grid=small, seed=5, n_box=2, length_scale=80.0, gamma=2.0)
         assert one["length_scale"].tolist() == [80.0, 80.0]
         assert one["gamma"].tolist() == [2.0, 2.0]
+        isotropic = brs.export_boxes(found, 0, tmp_path / "isotropic", grid=small, seed=5, n_box=1, gamma=0.0)
+        assert isotropic["gamma"].tolist() == [0.0]
 
     def test_the_same_seed_writes_the_same_bytes(self, fit, tmp_path):
         for name in ("a", "b"):

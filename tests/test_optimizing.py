@@ -386,6 +386,10 @@ class TestSearch:
         ({"n_beams": []}, "Invalid n_beams []: give at least one number of beams."),
         ({"n_beams": [6, 0]}, "Invalid n_beams 0"),
         ({"dwell": 0.0}, "Invalid dwell 0.0 s"),
+        (
+            {"dwell": 1.0, "scan_duration": 3.0},
+            "Invalid dwell 1 s with scan_duration 3 s: one follows from the other and",
+        ),
         ({"criterion": "width", "turbulence": SEED, "yaw_deg": []}, "Invalid yaw_deg []: give at least one direction"),
         ({"criterion": "width", "turbulence": SEED, "yaw_deg": 200.0}, "Invalid yaw_deg [200.0]"),
         ({"scan_duration": 0.0}, "Invalid scan_duration 0.0 s"),

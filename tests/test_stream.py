@@ -343,6 +343,7 @@ class TestRefused:
             ({"campaign_group": "hour"}, "A stream learns no campaign"),
             ({"motion": "tilt.csv"}, "motion is not used in a stream"),
             ({"mast": "cup.csv", "mast_position": (0.0, 0.0, 0.0)}, "mast is not used in a stream"),
+            ({"mast_log_sd": 0.3}, "The option mast_log_sd is only used with a mast beside the beams"),
             ({"memory": -1}, "memory"),
             ({"every": 70.0}, "Invalid every 70.0 s"),
             ({"lateness": -1.0}, "lateness"),

@@ -8,7 +8,14 @@ from hypothesis.extra.numpy import arrays
 
 from bayes_rs import STRESSES, InputError
 from bayes_rs.geometry.scan import tilt_matrix, yaw_matrix
-from bayes_rs.geometry.stress import is_realizable, pack_stress, principal_variances, rotate_stress, unpack_stress
+from bayes_rs.geometry.stress import (
+    first_impossible,
+    is_realizable,
+    pack_stress,
+    principal_variances,
+    rotate_stress,
+    unpack_stress,
+)
 
 STRESS = arrays(np.float64, 6, elements=st.floats(-5.0, 5.0))
 
@@ -61,6 +68,40 @@ class TestRealizability:
     def test_three_pairwise_possible_correlations_can_be_impossible_together(self):
         assert is_realizable([1.0, 1.0, 1.0, 0.9, 0.9, 0.9])
         assert not is_realizable([1.0, 1.0, 1.0, 0.9, 0.9, -0.9])
+
+
+class TestImpossible:
+    """What no wind has is found in tensors that were measured, whole or in part."""
+
+    @given(STRESS)
+    def test_a_whole_tensor_is_judged_by_its_smallest_principal_variance(self, stress):
+        variances = principal_variances(stress)
+        if abs(variances[0]) > 1e-6 * np.abs(variances).max():
+            assert (first_impossible(stress[np.newaxis]) is None) == (variances[0] > 0.0)
+
+    def test_the_first_row_and_its_fault_are_told(self):
+        good, nan = [1.0, 1.0, 1.0, 0.9, 0.9, 0.7], np.nan
+        assert (
+            first_impossible([good, [1.0, nan, nan, nan, nan, nan], [nan] * 6, [1.0, nan, 1.0, 7.0, 0.9, nan]]) is None
+        )
+        assert first_impossible([good, [1.0, 0.0, 1.0, 0.0, 0.0, 0.0]]) == (
+            1,
+            "has vv 0 m² s⁻²: a variance is above zero",
+        )
+        row, words = first_impossible([good, good, [1.0, nan, 4.0, nan, -2.0, nan]])
+        assert (row, words[:51]) == (2, "has uw -2 m² s⁻², beyond the root of uu times ww, 2")
+        row, words = first_impossible([good, [1.0, 1.0, 1.0, 0.9, 0.9, -0.9]])
+        assert (row, words[:42]) == (1, "has the smallest principal variance -0.8 m")
+
+    @given(arrays(np.float64, 6, elements=st.floats(0.1, 5.0)), st.integers(3, 5))
+    def test_a_tensor_without_a_covariance_that_is_taken_can_be_completed(self, stress, missing):
+        """The covariance that the other two make by themselves completes it."""
+        stress[missing] = np.nan
+        if first_impossible(stress[np.newaxis]) is None:
+            middle = {3: 2, 4: 1, 5: 0}[missing]  # uv by w, uw by v, vw by u
+            others = [column for column in (3, 4, 5) if column != missing]
+            stress[missing] = np.prod(stress[others]) / stress[middle]
+            assert principal_variances(stress)[0] > -1e-9
 
 
 def test_bad_shapes_are_refused():

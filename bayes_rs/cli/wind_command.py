@@ -15,7 +15,13 @@ from bayes_rs.cli.voice import answer, plain_number, tell
 @click.command(cls=GroupedCommand)
 @click.argument("files", nargs=-1, required=True, metavar="FILES...|SETTINGS.toml", type=click.Path())
 @settings_options(
-    "scan", "files", "records", "quality", "noise", only={"noise": ("turbulence",)}, without=("mast", "mast_position")
+    "scan",
+    "files",
+    "records",
+    "quality",
+    "noise",
+    only={"noise": ("turbulence",)},
+    without=("mast", "mast_position", "correlations"),
 )
 @click.option(
     "--heading",
@@ -50,7 +56,8 @@ def wind(
 
     FILES are radial velocities, or records that `bayes-rs records` wrote.
     """
-    settings = settings_of(files, options).changed(mast=(), mast_position=None)  # settings may name one: no wind of it
+    # settings may name a mast, or ask for correlations: no wind is of these
+    settings = settings_of(files, options).changed(mast=(), mast_position=None, correlations=False)
 
     from bayes_rs.output import output_file, write_csv
     from bayes_rs.turbulence.mann import load_turbulence

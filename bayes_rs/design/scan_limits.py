@@ -72,7 +72,9 @@ class ScanLimits:
         0.0, "Tilt of the lidar; a positive one raises the beams that point upwind", unit="degrees", flag="--tilt"
     )
     planes: str = option("simultaneous", "How several focus distances are measured", choices=PLANES)
-    scan_duration: float = option(1.0, "Time for all beams and planes once, which they share equally", unit="s")
+    scan_duration: float | None = option(
+        None, "Time for all beams and planes once, which they share equally: 1 s unless dwell says another", unit="s"
+    )
     dwell: float | None = option(
         None, "Time for one beam, in place of the scan duration: with more beams each is visited less often", unit="s"
     )
@@ -101,9 +103,14 @@ class ScanLimits:
             check_finite(self.min_elevation_deg, what="min_elevation_deg", unit="degrees")
         check_non_negative(self.min_spread_deg, what="min_spread_deg", unit="degrees")
         check_finite(self.tilt_deg, what="tilt_deg", unit="degrees")
-        check_positive(self.scan_duration, what="scan_duration", unit="s")
-        if self.dwell is not None:
-            check_positive(self.dwell, what="dwell", unit="s")
+        for name in ("scan_duration", "dwell"):
+            if getattr(self, name) is not None:
+                check_positive(getattr(self, name), what=name, unit="s")
+        if self.dwell is not None and self.scan_duration is not None:
+            raise InputError(
+                f"Invalid dwell {self.dwell:g} s with scan_duration {self.scan_duration:g} s: one follows from the "
+                "other and the number of beams; give one of them."
+            )
         free_arcs(self.blocked)
 
     @property
@@ -161,7 +168,7 @@ class ScanLimits:
     def duration(self, n_beams: int) -> float:
         """Return the time for all beams and planes once, s."""
         if self.dwell is None:
-            return float(self.scan_duration)
+            return 1.0 if self.scan_duration is None else float(self.scan_duration)
         return n_beams * (len(self.distances) if self.planes == "sequential" else 1) * self.dwell
 
     def frame(self, n_beams: int) -> Scan:

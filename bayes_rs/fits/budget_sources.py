@@ -33,7 +33,7 @@ SWITCHED = (
 
 def possible_sources(batch: Batch, options: FitOptions) -> list[str]:
     """Return which sources a fit of such data could count, of `SWITCHED`."""
-    mast = batch.pairs is not None and batch.pairs.mast is not None
+    mast = batch.pairs is not None and batch.pairs.has_mast
     there = {COHERENCE: options.information == "covariances", MAST_RATIO: mast}
     return [name for name in SWITCHED if there.get(name, True)]
 
@@ -50,7 +50,7 @@ def sources_of(batch: Batch, noise: Noise, options: FitOptions) -> list[str]:
     there[INSTRUMENT] |= batch.instrument_noise_sd is not None
     there[PROBE] = batch.probe_sd is not None
     there[COHERENCE] = options.information == "covariances" and options.coherence_log_sd > 0.0
-    there[MAST_RATIO] = batch.pairs is not None and batch.pairs.mast is not None and options.mast_log_sd > 0.0
+    there[MAST_RATIO] = batch.pairs is not None and batch.pairs.has_mast and options.mast_log_sd > 0.0
     there[TAILS] = uncertain.inflation != 1.0 or bool(np.isfinite(uncertain.inflation_dof))
     return [name for name in SWITCHED if there[name]]
 

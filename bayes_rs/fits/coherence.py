@@ -10,7 +10,7 @@ import scipy
 
 from bayes_rs.fits.columns import N_PAIR, PAIRS_MISFIT, PATTERN, SAME_FOR_ALL, VARIANCES, pattern_columns
 from bayes_rs.fits.fit_data import FitData
-from bayes_rs.records.layout import MAST
+from bayes_rs.records.layout import mast_there
 
 MOST_MISFIT = 1.1
 """Mean square of what variances leave unexplained of the other data, over what is expected, that is not believed."""
@@ -103,8 +103,9 @@ def coherence_of(fit: FitData) -> Coherence | None:
         return None
     chi2 = scipy.stats.chi2
     pattern, n_datum = _pattern_of(fit)
+    beside = mast_there(fit.records)[fit.fitted].any()
     return Coherence(
-        data=(*(["covariances"] if of_pairs else []), *(["mast"] if MAST in fit.records else [])),
+        data=(*(["covariances"] if of_pairs else []), *(["mast"] if beside else [])),
         n_record=len(count),
         misfit=float(square.sum() / count.sum()),
         probability=float(chi2.sf(square.sum(), count.sum())),

@@ -56,6 +56,11 @@ class PairData:
     mast: FloatArray | None = None
     position: tuple[float, ...] = ()
 
+    @property
+    def has_mast(self) -> bool:
+        """Whether a mast measured in any of the records."""
+        return self.mast is not None and bool(np.isfinite(self.mast[:, :3]).any())
+
     def take(self, records: NDArray[np.int64] | slice) -> PairData:
         """Return those of some of the records."""
         mast = None if self.mast is None else self.mast[records]

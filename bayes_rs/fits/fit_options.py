@@ -110,8 +110,8 @@ class FitOptions:
     )
     coherence_log_sd: float = option(
         0.3,
-        "With covariances, standard deviation of the logarithms of the lateral and of the vertical scale over which "
-        "velocities go together",
+        "With covariances or a mast, standard deviation of the logarithms of the lateral and of the vertical scale "
+        "over which velocities go together",
     )
     mast_log_sd: float = option(
         0.1,

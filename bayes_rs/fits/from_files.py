@@ -34,6 +34,7 @@ from bayes_rs.processor import one_thread
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.one_file import SUFFIXES
 from bayes_rs.readers.standard_input import with_standard_input
+from bayes_rs.records.layout import MAST
 from bayes_rs.records.ranges import scan_of_records
 from bayes_rs.records.record_files import open_record_files
 from bayes_rs.records.record_options import options_of_series
@@ -120,8 +121,7 @@ def _fit_files(settings: Settings, named: Sequence[str], output: str | Path, pro
     if records is None:
         find_files(files, SUFFIXES)  # what is not there is said before a folder is made, or replaced
     mast = mast_of(settings.records, records, settings.files)  # as above
-    if mast is not None:
-        check_beside_mast(settings.fit)
+    check_beside_mast(settings.fit, there=mast is not None or (records is not None and MAST in records))
     parts = _key_parts(settings, scan, noise)
     with begin_result_folder(
         output,

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, campaign_failures
 from bayes_rs.fits.coherence import coherence_of
-from bayes_rs.fits.columns import TABLE
+from bayes_rs.fits.columns import TABLE, VARIANCES
 from bayes_rs.fits.direction_table import median_of_known
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.flags import FAILURES, FLAG_MEANINGS, FLAGS
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
-from bayes_rs.records.layout import MAST
+from bayes_rs.records.beam_correlation import CORRELATION
+from bayes_rs.records.layout import mast_there
 
 NOTHING = "nothing"
 """What is doubtful where nothing is."""
@@ -149,10 +150,8 @@ def headline_of_ranges(
 
 def measured_by(fit: FitData, record: int | None = None) -> str:
     """Say whose data a fit, or one of its records, is of."""
-    beside = MAST in fit.records
-    if beside and record is not None:
-        beside = bool(np.isfinite(fit.records[MAST].values[record]).any())
-    return "the beams and the mast beside" if beside else "the beams"
+    there = mast_there(fit.records)[fit.fitted if record is None else [record]]
+    return "the beams and the mast beside" if there.any() else "the beams"
 
 
 def decided_words(shares: FloatArray, *, by: str = "the beams") -> str:
@@ -286,9 +285,7 @@ def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[
     parts += ["some of the data are not believed"] if doubts else []
     parts += ["the campaign's chains fell short"] if any(campaign_failures(own.run["campaign"]) for own in fits) else []
     parts += _of_all_records(fits)
-    unlike = [found for own in fits if (found := coherence_of(own)) is not None and found.doubted]
-    at = f"at {len(unlike)} of {len(fits)} ranges " if len(fits) > 1 else ""
-    parts += [at + unlike[0].in_words()] if unlike else []
+    parts += _beside_variances(fits)
     together = [line for own in fits for line in own.run.get("beams", {}).get("together", [])]
     numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts, "beams": together}
     return "; ".join(parts) or NOTHING, numbers
@@ -300,6 +297,22 @@ def _of_all_records(fits: Sequence[FitData]) -> list[str]:
     if len(fits) == 1:
         return [line if line.startswith(_TOGETHER) else line.partition(": ")[0] for lines in told for line in lines]
     return [f"{_TOGETHER} the beams are not as the model has them at {len(told)} of {len(fits)} ranges"] if told else []
+
+
+def _beside_variances(fits: Sequence[FitData]) -> list[str]:
+    """Say how many records lack the covariances that were asked for, and what speaks against those that there are."""
+    beside = [own for own in fits if VARIANCES in own.source.datasets]
+    asked = [own for own in beside if own.run["settings"]["fit"].get("information") == "covariances"]
+    known = [np.isfinite(own.records[CORRELATION].values[own.fitted]).any(axis=1) for own in asked]
+    n_record, n_known = sum(map(len, known)), sum(int(np.count_nonzero(one)) for one in known)
+    parts = []
+    if n_known < n_record:
+        parts.append(f"{n_record - n_known} of {n_record} records hold no covariances, and go by their variances alone")
+    unlike = [found for own in beside if (found := coherence_of(own)) is not None and found.doubted]
+    if unlike:
+        at = f"at {len(unlike)} of {len(fits)} ranges, here the worst: " if len(fits) > 1 else ""
+        parts.append(at + max(unlike, key=lambda found: found.misfit).in_words())
+    return parts
 
 
 def _meaning(word: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.readers.toa5 import is_toa5, read_sonic
-from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
+from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
 
 _LARGEST = 1.0
@@ -48,7 +48,7 @@ def intensity_reference(
     ------
     InputError
         If the file cannot be read, columns are missing, times or numbers are none, two rows are of one time, the
-        intensity is in per cent, or no row is of any record.
+        intensity is in per cent, no row is of any record, or a sonic's stresses are of periods of another length.
     """
     table, where = _table(source, duration)
     columns = {_NAMES[str(name).strip().lower()]: name for name in table.columns if str(name).strip().lower() in _NAMES}
@@ -72,7 +72,9 @@ def intensity_reference(
 
 def _table(source: str | Path | pd.DataFrame | xr.Dataset, duration: float) -> tuple[pd.DataFrame, str]:
     if isinstance(source, xr.Dataset):
-        return _of_sonic(source), "reference that was given"
+        where = "reference that was given"
+        check_stated(source.attrs.get("duration"), duration, where)
+        return _of_sonic(source), where
     if not isinstance(source, (str, Path, pd.DataFrame)):
         raise InputError(
             f"Invalid reference {in_short(source)}: give a file, a table, or what bayes_rs.wind.sonic_stresses returns."

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayes_rs._validation import FloatArray, as_generator, check_count, check_positive
+from bayes_rs._validation import FloatArray, as_generator, check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.geometry.stress import STRESSES
@@ -199,7 +199,9 @@ def _flow_of(fit: Fit, index: int, length_scale: float | None, gamma: float | No
         raise InputError(f"It is not known which gamma record {index} has: its noise knows {gammas}; give gamma.")
     anisotropy = gamma if gamma is not None else gammas[0] if own is None else own
     return _Flow(
-        check_positive(median, what="length_scale", unit="m"), log_sd, check_positive(anisotropy, what="gamma", unit="")
+        check_positive(median, what="length_scale", unit="m"),
+        log_sd,
+        check_non_negative(anisotropy, what="gamma", unit=""),
     )
 
 

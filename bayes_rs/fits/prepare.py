@@ -77,8 +77,7 @@ def prepare(records: xr.Dataset, scan: Scan, noise: Noise, options: FitOptions) 
         group=campaign_groups(records, options.campaign_group),
     )
     correlations = options.information == "covariances"
-    if MAST in records:
-        check_beside_mast(options)
+    check_beside_mast(options, there=MAST in records)
     if correlations or MAST in records:
         batch = replace(batch, pairs=pair_data(records, scan, noise.duration, correlations=correlations))
     if options.scatter == "records" and "variance_scatter" in records:
@@ -171,14 +170,33 @@ def sound_beams(records: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray((records["flag"].values == 0) & (variance > LEAST_VARIANCE) & np.isfinite(variance))
 
 
-def check_beside_mast(options: FitOptions) -> None:
-    """Refuse options that do not go with a mast beside the beams.
+def check_beside_mast(options: FitOptions, *, there: bool) -> None:
+    """Refuse options that do not go with a mast beside the beams, or that without one are not used.
+
+    Parameters
+    ----------
+    options : FitOptions
+        Of the fit.
+    there : bool
+        Whether there is a mast.
 
     Raises
     ------
     InputError
         For the first of them.
     """
+    if not there:
+        if options.mast_log_sd != FitOptions.mast_log_sd:
+            raise InputError(
+                "The option mast_log_sd is only used with a mast beside the beams: give that (the option mast, or "
+                "'mast_stress' of the records), or leave it out."
+            )
+        if options.information == "variances" and options.coherence_log_sd != FitOptions.coherence_log_sd:
+            raise InputError(
+                "The option coherence_log_sd is only used with information 'covariances' (--information covariances), "
+                "or with a mast beside the beams: give one of them, or leave it out."
+            )
+        return
     if options.likelihood != "log-normal":
         raise InputError(
             f"Invalid likelihood {options.likelihood!r} with a mast beside the beams: only with 'log-normal' is it "

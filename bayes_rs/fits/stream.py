@@ -16,7 +16,7 @@ from bayes_rs.fits.fit_options import FitOptions, NoiseOptions
 from bayes_rs.fits.fitting import fit_in_memory, noise_section
 from bayes_rs.fits.noise_choice import noise_and_records, noise_for_later, with_median_length_scale
 from bayes_rs.fits.plan import Plan, of_last_record, plan_fit, with_settings
-from bayes_rs.fits.prepare import check_duration
+from bayes_rs.fits.prepare import check_beside_mast, check_duration
 from bayes_rs.fits.range_job import RangeJob, joined_ranges, named, seed_of_range
 from bayes_rs.fits.settings import Settings
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range
@@ -280,4 +280,5 @@ def _of(settings: Settings | str | Path | None, options: dict[str, Any]) -> Sett
                 f"The option {name} is not used in a stream: its files are whole when all is measured; fit with them "
                 "afterwards."
             )
+    check_beside_mast(own, there=False)
     return replace(changed, fit=replace(own, campaign="off"))

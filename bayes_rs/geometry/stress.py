@@ -13,6 +13,7 @@ STRESSES: tuple[str, ...] = ("uu", "vv", "ww", "uv", "uw", "vw")
 
 _ROW = np.array([0, 1, 2, 0, 0, 1])
 _COLUMN = np.array([0, 1, 2, 1, 2, 2])
+_ROUNDING = 1e-9
 
 
 def pack_stress(tensor: ArrayLike) -> FloatArray:
@@ -147,3 +148,57 @@ def is_realizable(stress: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.
     """
     variances = principal_variances(stress)
     return np.asarray(variances[..., 0] >= -8.0 * np.finfo(np.float64).eps * np.abs(variances[..., 2]))
+
+
+def first_impossible(stress: ArrayLike) -> tuple[int, str] | None:
+    """Return the first row of stresses that no wind has, and what of it is so, in words; None if there is none.
+
+    Parameters
+    ----------
+    stress : array_like, shape (n, 6)
+        Stresses that were measured, m² s⁻²; what is not finite is not known.
+
+    Returns
+    -------
+    found : tuple of int and str, or None
+        The row, and words that follow its name, as ``has uu -1 m² s⁻²: a variance is above zero``.
+
+    Notes
+    -----
+    Variances are above zero, and a whole tensor is positive definite, to rounding. Of a tensor that is known in part,
+    each covariance must be below the root of the product of its two variances. That is enough: for three components
+    there are then values of what is missing that make the tensor positive definite.
+
+    Examples
+    --------
+    >>> first_impossible([[1.0, 1.0, 1.0, 0.9, 0.9, -0.9]])
+    (0, 'has the smallest principal variance -0.8 m² s⁻²: its covariances do not go together, which no wind has')
+    >>> first_impossible([[1.0, 1.0, 1.0, 0.9, 0.9, np.nan]])
+    """
+    values = as_numbers(stress, what="stress")
+    bad = np.argwhere(values[:, :3] <= 0.0)
+    if len(bad):
+        row, column = (int(index) for index in bad[0])
+        return row, f"has {STRESSES[column]} {values[row, column]:g} m² s⁻²: a variance is above zero"
+    known = np.where(np.isfinite(values), values, np.nan)
+    root = np.sqrt(known[:, :3])
+    for column, (i, j) in enumerate(zip(_ROW[3:], _COLUMN[3:], strict=True), start=3):
+        most = root[:, i] * root[:, j]
+        beyond = np.flatnonzero(np.abs(known[:, column]) >= most * (1.0 - _ROUNDING))
+        if len(beyond):
+            row = int(beyond[0])
+            return row, (
+                f"has {STRESSES[column]} {known[row, column]:g} m² s⁻², beyond the root of {STRESSES[i]} times "
+                f"{STRESSES[j]}, {most[row]:g}, which no wind has"
+            )
+    whole = np.flatnonzero(np.isfinite(known).all(axis=1))
+    correlation = np.ones((len(whole), len(STRESSES)))
+    correlation[:, 3:] = known[whole, 3:] / (root[whole][:, _ROW[3:]] * root[whole][:, _COLUMN[3:]])
+    beyond = whole[principal_variances(correlation)[:, 0] <= _ROUNDING]
+    if len(beyond):
+        row = int(beyond[0])
+        return row, (
+            f"has the smallest principal variance {principal_variances(known[row])[0]:.3g} m² s⁻²: its covariances do "
+            "not go together, which no wind has"
+        )
+    return None

@@ -1,4 +1,4 @@
-"""What of records is not believed: variances, winds and angles that no atmosphere has; and how that is said."""
+"""What of records is not believed: variances, winds, angles, stresses that no atmosphere has; how that is said."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from bayes_rs.quality.belief import MOST_ANGLE, BoolArray, Impossible, add_told,
 from bayes_rs.quality.filtering import Filtered
 from bayes_rs.quality.samples import BeamSamples
 from bayes_rs.records.flags import BEAM_FLAGS, flag_attributes
+from bayes_rs.records.layout import MAST
 
 NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
@@ -25,8 +26,9 @@ _WORDS = {
     "mean": "mean radial velocities",
     "wind_speed": "wind speeds",
     "yaw": "wind directions",
+    MAST: "mast's stresses",
 }
-_UNITS = {"variance": "m² s⁻²", **dict.fromkeys(_ANGLES, "degrees")}
+_UNITS = {"variance": "m² s⁻²", MAST: "m² s⁻²", **dict.fromkeys(_ANGLES, "degrees")}
 
 
 def most_variance(velocity_limit: float) -> float:
@@ -52,7 +54,7 @@ def impossible_in(samples: BeamSamples, filtered: Filtered) -> dict[str, Any]:
 
 
 def believed(records: xr.Dataset) -> xr.Dataset:
-    """Return records without what no atmosphere has: such variances are flagged, winds and angles are missing.
+    """Return records without what no atmosphere has: such variances are flagged, all else is missing.
 
     Parameters
     ----------
@@ -62,18 +64,19 @@ def believed(records: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     records : Dataset
-        The same object if all can be believed. Otherwise a copy with the flag ``impossible`` of beams, NaN for winds
-        and angles, and what was counted in ``attrs["not_believed"]``.
+        The same object if all can be believed. Otherwise a copy with the flag ``impossible`` of beams, NaN for winds,
+        angles and a mast's stresses, and what was counted in ``attrs["not_believed"]``.
 
     Raises
     ------
     InputError
-        If most of the variances or winds are impossible, and do not stand for missing entries.
+        If most of the variances, winds or stresses are impossible, and do not stand for missing entries.
 
     Notes
     -----
-    Limits: a wind speed or mean above ``attrs["velocity_limit"]``, 90 m/s if the records have none; a variance above
-    the square of a third of it, 900 m² s⁻²; an angle above 720 degrees. What a flag leaves out is not looked at.
+    Limits: a wind speed or mean above ``attrs["velocity_limit"]``, 90 m/s if the records have none; a variance, or a
+    mast's stress, above the square of a third of it, 900 m² s⁻²; an angle above 720 degrees. What a flag leaves out is
+    not looked at.
     """
     limit = float(records.attrs.get("velocity_limit", VELOCITY_LIMIT))
     limits = {
@@ -81,6 +84,7 @@ def believed(records: xr.Dataset) -> xr.Dataset:
         "mean": limit,
         "wind_speed": limit,
         **dict.fromkeys(_ANGLES, MOST_ANGLE),
+        MAST: most_variance(limit),
     }
     changed, told = records, {}
     for name, most in limits.items():
@@ -99,7 +103,8 @@ def believed(records: xr.Dataset) -> xr.Dataset:
         found.check(f"The records hold {_WORDS.get(name, name)}", most, unit=unit, hint=False)
         told[name] = {"count": found.count, "of": int(np.count_nonzero(used)), "limit": most, "values": found.told()}
         changed = _without(changed, name, values, bad)
-    return changed.assign_attrs({NOT_BELIEVED: json.dumps(told)}) if told else records
+    known = json.loads(records.attrs.get(NOT_BELIEVED, "{}"))  # of what is looked at again, as with a mast added
+    return changed.assign_attrs({NOT_BELIEVED: json.dumps({**known, **told})}) if told else records
 
 
 def _without(records: xr.Dataset, name: str, values: FloatArray, bad: BoolArray) -> xr.Dataset:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import short
-from bayes_rs.records.layout import check_layout
+from bayes_rs.records.layout import TURBINE, check_layout
 
 
 def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
@@ -29,6 +30,28 @@ def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
     if records.sizes.get("beam") == 0:
         raise InputError(
             "Invalid records: they hold no beam; select at least one, or make them again with make_records."
+        )
+    check_starts(records, "give every record once, and no two that overlap")
+
+
+def check_starts(records: xr.Dataset, advice: str) -> None:
+    """Check that no two records of a turbine have the same start.
+
+    Raises
+    ------
+    InputError
+        If two have.
+    """
+    if "time" not in records.coords or records["time"].dims != ("record",):
+        return
+    names = [name for name in ("time", TURBINE) if name in records.variables]
+    again = pd.DataFrame({name: records[name].values for name in names}).duplicated().to_numpy()
+    again = again & records["time"].notnull().values
+    if again.any():
+        many = "" if TURBINE in records else "; records of several turbines need its name in each (--turbine)"
+        raise InputError(
+            f"{np.count_nonzero(again)} records start at the same time as another, the first at "
+            f"{records['time'].values[again][0]}: {advice}{many}."
         )
 
 

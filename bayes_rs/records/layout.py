@@ -6,10 +6,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from pydantic import Field, Json, model_validator
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import short
+from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
 
 _RECORD = ("record",)
@@ -281,6 +283,35 @@ def check_layout(
         optional_dim="range",
         advice=advice,
     )
+    if MAST in records:
+        _check_mast(records, what)
+
+
+def _check_mast(records: xr.Dataset, what: str) -> None:
+    """Refuse a mast that has no place, or that measured what no wind has."""
+    anew = "give the mast anew with bayes_rs.wind.with_mast, or leave the variable out"
+    if records.attrs.get(MAST_POSITION) is None:
+        raise InputError(
+            f"{what} cannot be used: they have {MAST}, and no attribute {MAST_POSITION}, which xarray drops in "
+            f"steps that keep no attributes; {anew}."
+        )
+    values = np.asarray(records[MAST].values, dtype=np.float64)
+    if values.shape[-1] != len(STRESSES):
+        raise InputError(
+            f"{what} cannot be used: {MAST} holds {values.shape[-1]} numbers of a record, and must hold "
+            f"{', '.join(STRESSES)}; {anew}."
+        )
+    impossible = first_impossible(values.reshape(-1, len(STRESSES)))
+    if impossible is not None:
+        row, words = impossible
+        raise InputError(f"{what} cannot be used: {MAST} of record {row % values.shape[-2]} {words}; {anew}.")
+
+
+def mast_there(records: xr.Dataset) -> NDArray[np.bool_]:
+    """Return in which records a mast beside measured anything that a fit uses, shape (n_record,): a variance."""
+    if MAST not in records:
+        return np.zeros(records.sizes["record"], dtype=np.bool_)
+    return np.asarray(np.isfinite(records[MAST].values[:, :3]).any(axis=1))
 
 
 def with_turbine(records: xr.Dataset, name: str) -> xr.Dataset:

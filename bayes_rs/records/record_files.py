@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
@@ -20,6 +19,7 @@ from bayes_rs.geometry.scan_file import as_scan, load_scan
 from bayes_rs.geometry.scan_words import scan_difference
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
+from bayes_rs.records.given import check_starts
 from bayes_rs.records.layout import MAST_POSITION, OF_RANGES, REPORT, TURBINE, check_layout
 from bayes_rs.records.ranges import DISTANCE, each_range, has_ranges, scan_of_records
 
@@ -102,7 +102,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
     Parameters
     ----------
     paths : sequence of str or Path
-        The files.
+        The files; also folders and patterns, whose files are all of records.
     scan : Scan, str or Path
         The scan that measured them, its name or its file.
 
@@ -117,6 +117,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
         If the records were made with another scan, or those of several files do not go together.
     """
     found: list[xr.Dataset] = []
+    paths = _single_files(paths)
     for path in paths:
         records = open_records(path, scan)
         if records is None:
@@ -161,16 +162,21 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
     told = [json.loads(records.attrs[NOT_BELIEVED]) for records in found if NOT_BELIEVED in records.attrs]
     if told:
         joined.attrs[NOT_BELIEVED] = json.dumps(add_not_believed(told))
-    if "time" in joined.coords and joined.indexes.get("time") is None:
-        names = [name for name in ("time", TURBINE) if name in joined.variables]
-        again = pd.DataFrame({name: joined[name].values for name in names}).duplicated().to_numpy()
-        if again.any():
-            many = "" if TURBINE in joined else "; records of several turbines need its name in each (--turbine)"
-            raise InputError(
-                f"{np.count_nonzero(again)} records start at the same time as another, the first at "
-                f"{joined['time'].values[again][0]}: give every file once, and files that do not overlap{many}."
-            )
+    check_starts(joined, "give every file once, and files that do not overlap")
     return joined
+
+
+def _single_files(paths: Sequence[str | Path]) -> list[Path]:
+    """Return the files that are named, those of folders and patterns too; what is not there is named as it is."""
+    if all(Path(path).is_file() for path in paths):
+        return [Path(path) for path in paths]
+    from bayes_rs.readers.folders import find_files  # noqa: PLC0415 - not needed for files
+    from bayes_rs.readers.one_file import SUFFIXES  # noqa: PLC0415 - as above
+
+    try:
+        return list(find_files(paths, SUFFIXES).paths)
+    except InputError:
+        return [Path(path) for path in paths]  # the reader of radial velocities says what is wrong with them
 
 
 def _ranges_of(records: xr.Dataset) -> list[float]:

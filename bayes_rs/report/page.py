@@ -11,7 +11,7 @@ from bayes_rs.fits.flags import FAILURES, FLAGS
 from bayes_rs.fits.headline import Headline
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
-from bayes_rs.records.layout import MAST
+from bayes_rs.records.layout import mast_there
 from bayes_rs.report import figures, words
 from bayes_rs.report.availability import make_availability
 from bayes_rs.report.beside import Beside, beside_data, beside_section
@@ -142,7 +142,7 @@ def _lead(found: ReportData) -> str:
     used = dict(found.run.get("settings", {})).get("fit", {}).get("information", "variances")
     both = "variances and covariances" if used == "covariances" else "variances"
     text = f"Bayesian estimate of the six Reynolds stresses from the {both} of a Doppler lidar's beams"
-    text += " and the stresses of a mast beside" if MAST in found.records else ""
+    text += " and the stresses of a mast beside" if mast_there(found.records)[found.fitted].any() else ""
     when = words.period(found)
     text += f", records from {when}" if when else ""
     text += f". Each number with its {interval_words(found.prob, found.interval)}."

@@ -17,7 +17,7 @@ from bayes_rs.fits.intensity_metrics import ALL_SPEEDS, BIAS_LIMIT, REPRESENTATI
 from bayes_rs.fits.intensity_reference import intensity_reference
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
-from bayes_rs.records.layout import MAST
+from bayes_rs.records.layout import mast_there
 from bayes_rs.report.packing import plain
 from bayes_rs.report.report_data import ReportData
 from bayes_rs.report.tables import figure, folded, key, number, table
@@ -121,7 +121,7 @@ def reference_section(found: ReportData, reference: Reference) -> str:
         f"{100.0 * whole['coverage']:.0f} % of the records."
     )
     verdict = [numbers, *_representative_words(rows), _SCOPE]
-    if MAST in found.records:
+    if mast_there(found.records)[found.fitted].any():
         verdict.insert(0, _AMONG_DATA)
     if 2 * of_priors.sum() > len(of_priors):
         verdict.append("In most records uu, and so turbulence intensity, is mostly the prior's.")

@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.file_options import FileOptions
-from bayes_rs.geometry.stress import STRESSES
+from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
-from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout
+from bayes_rs.records.belief import NOT_BELIEVED, believed
+from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout, mast_there
 from bayes_rs.records.record_options import RecordOptions
-from bayes_rs.reference_table import matched_rows, reference_numbers, reference_table, reference_times
+from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
 
 _log = logging.getLogger(__name__)
-_ROUNDING = 1e-9
 
 
 class MastStresses(NamedTuple):
@@ -78,7 +78,18 @@ def with_mast(
     ------
     InputError
         If the records are at several ranges, columns are missing, a variance is not above zero, a tensor is not
-        realizable, or no period is one of the records.
+        realizable (or, of one known in part, a covariance is beyond its two variances), no period with a variance is
+        one of the records, most stresses are such as no atmosphere has, or the Dataset is of
+        periods of another length than these.
+
+    Notes
+    -----
+    A covariance is used where both its variances are beside it; a warning names one that is not.
+
+    A table does not say how long its periods are: rows whose starts are another time apart than the records' are taken,
+    and a warning says so. Stresses above 900 m² s⁻² (the square of a third of the records' ``velocity_limit``) count as
+    missing, as variances of beams do, and are among the doubts of a fit. Another warning says how many records
+    the mast gives nothing, if these are some.
 
     Examples
     --------
@@ -89,7 +100,11 @@ def with_mast(
     array([nan, 1.3])
     """
     _check_records(records)
-    return _joined(records, read_mast(mast, _duration(records)), position)
+    found = _joined(records, read_mast(mast, _duration(records)), position, _log.warning)
+    there = mast_there(found)
+    if not there.all():
+        _log.warning("The mast has no stress of %d of %d records.", (~there).sum(), len(there))
+    return found
 
 
 def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptions) -> MastStresses | None:
@@ -128,7 +143,7 @@ def add_mast(
     if mast is None or options.mast_position is None:
         return records
     _check_records(records)
-    found = _joined(records, mast, options.mast_position)
+    found = _joined(records, mast, options.mast_position, say)
     say(_words(found))
     return found
 
@@ -136,14 +151,28 @@ def add_mast(
 def _words(records: xr.Dataset) -> str:
     """Say where the mast is, and in how many records it measured."""
     place = ", ".join(f"{number:g}" for number in json.loads(records.attrs[MAST_POSITION]))
-    there = np.isfinite(records[MAST].values).any(axis=-1)
-    return f"a mast at ({place}) m is data of the fit: it has stresses of {there.sum()} of {len(there)} records"
+    there = mast_there(records)
+    of = f"{there.sum()} of {len(there)} records"
+    return f"a mast at ({place}) m is data of the fit: it has stresses of {of} of {_duration(records):g} s"
 
 
 def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
-    """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s."""
+    """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s.
+
+    Raises
+    ------
+    InputError
+        If it is not what `with_mast` takes, or has no variance at all.
+    """
+    found = _read(source, duration)
+    if not np.isfinite(found.stress[:, :3]).any():
+        raise _nothing(found.where, f"{len(found.start)} row{'s' * (len(found.start) != 1)}")
+    return found
+
+
+def _read(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
     if isinstance(source, (xr.Dataset, pd.DataFrame)):
-        return _of_stresses(source, "") if isinstance(source, xr.Dataset) else _of_table(source)
+        return _of_stresses(source, "", duration) if isinstance(source, xr.Dataset) else _of_table(source)
     if not isinstance(source, (str, Path)) and not (
         isinstance(source, Sequence) and all(isinstance(file, (str, Path)) for file in source)
     ):
@@ -152,7 +181,7 @@ def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Pa
     series = [file for file in files if is_toa5(file)]
     first = f"mast in {str(files[0])!r}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
     if len(series) == len(files):
-        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first)
+        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first, duration)
     if series:
         table = next(file for file in files if file not in series)
         raise InputError(
@@ -166,10 +195,11 @@ def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Pa
     return MastStresses(start, np.concatenate([table.stress for table in tables]), first)
 
 
-def _of_stresses(stresses: xr.Dataset, where: str) -> MastStresses:
-    """Return those of the Dataset of `sonic_stresses`."""
+def _of_stresses(stresses: xr.Dataset, where: str, duration: float) -> MastStresses:
+    """Return those of the Dataset of `sonic_stresses`, over periods of a duration, s."""
     if "stress" not in stresses or stresses["stress"].dims != ("record", "component"):
         raise InputError("Invalid mast: it has no 'stress' (record, component); give what sonic_stresses returns.")
+    check_stated(stresses.attrs.get("duration"), duration, where or "mast that was given")
     values = stresses["stress"].values.copy()
     still = np.any(values[:, :3] == 0.0, axis=1)
     if still.any():
@@ -195,43 +225,57 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     values = np.full((len(table), len(STRESSES)), np.nan)
     for name in there:
         values[:, STRESSES.index(name)] = reference_numbers(table[columns[name]], name, where)
-    _check_realizable(values, where)
+    for column, (i, j) in zip((3, 4, 5), ((0, 1), (0, 2), (1, 2)), strict=True):
+        unused = np.isfinite(values[:, column]) & ~np.isfinite(values[:, [i, j]]).all(axis=1)
+        if unused.any():
+            _log.warning(
+                "The %s has %s without %s or %s beside it in %d of %d rows: it is not used there.",
+                *(where, STRESSES[column], STRESSES[i], STRESSES[j], unused.sum(), len(values)),
+            )
+    impossible = first_impossible(values)
+    if impossible is not None:
+        row, words = impossible
+        raise InputError(f"Row {row} of the {where} {words}; leave empty what is not known.")
     return MastStresses(start, values, where)
 
 
-def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike) -> xr.Dataset:
+def _joined(records: xr.Dataset, mast: MastStresses, position: ArrayLike, say: Callable[[str], object]) -> xr.Dataset:
     """Return records with the stresses of a mast, each with those of its own period."""
     place = check_array(position, (3,), what="position of the mast")
-    row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where)
+    row = matched_rows(mast.start, records["time"].values, _duration(records), mast.where, say)
     stress = np.where((row >= 0)[:, np.newaxis], mast.stress[row], np.nan)
-    return records.assign(
-        {MAST: (("record", "stress"), stress, {"units": "m2 s-2", "long_name": "stresses that a mast measured"})}
-    ).assign_attrs({MAST_POSITION: json.dumps(place.tolist())})
+    about = {"units": "m2 s-2", "long_name": "stresses that a mast measured"}
+    attributes = dict(records.attrs)
+    before = json.loads(attributes.pop(NOT_BELIEVED, "{}"))
+    beside = believed(xr.Dataset({MAST: (("record", "stress"), stress, about)}, attrs=attributes))
+    now = json.loads(beside.attrs.get(NOT_BELIEVED, "{}"))
+    told = {**{name: of for name, of in before.items() if name != MAST}, **now}  # a mast that was there is replaced
+    found = records.assign({MAST: beside[MAST]})
+    found.attrs = {**attributes, MAST_POSITION: json.dumps(place.tolist())}
+    if told:
+        found.attrs[NOT_BELIEVED] = json.dumps(told)
+    if not mast_there(found).any():
+        if of := now.get(MAST):
+            raise InputError(
+                f"The {mast.where} has no stress that can be believed: {of['count']} of {of['of']} are beyond "
+                f"{of['limit']:g} m² s⁻², which no atmosphere has; check their unit."
+            )
+        raise _nothing(mast.where, f"rows of {(row >= 0).sum()} of {len(row)} records")
+    return found
+
+
+def _nothing(where: str, rows: str) -> InputError:
+    return InputError(
+        f"The {where} has {rows}, and no variance in any of these: fill its columns, or give a sonic's series that "
+        "covers whole records and moves in u, v and w; or leave the mast out."
+    )
 
 
 def _check_records(records: xr.Dataset) -> None:
     """Refuse records that a mast cannot stand beside, as those at several ranges."""
-    check_layout(records, "variance", "flag", "wind_speed", "yaw", "time")
+    other = records.drop_vars(MAST, errors="ignore")  # a mast that is there is replaced
+    check_layout(other, "variance", "flag", "wind_speed", "yaw", "time")
 
 
 def _duration(records: xr.Dataset) -> float:
     return float(records.attrs.get("duration", 600.0))
-
-
-def _check_realizable(values: FloatArray, where: str) -> None:
-    """Refuse variances that are not above zero, and covariances that are beyond them."""
-    bad = np.argwhere(values[:, :3] <= 0.0)
-    if len(bad):
-        row, column = (int(index) for index in bad[0])
-        raise InputError(
-            f"Row {row} of the {where} has {STRESSES[column]} {values[row, column]:g} m² s⁻²: a "
-            "variance is above zero; leave it empty where there is none."
-        )
-    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=3):
-        most = np.sqrt(values[:, i] * values[:, j])
-        beyond = np.flatnonzero(np.abs(values[:, column]) >= most * (1.0 - _ROUNDING))
-        if len(beyond):
-            raise InputError(
-                f"Row {beyond[0]} of the {where} has {STRESSES[column]} {values[beyond[0], column]:g} m² "
-                f"s⁻², beyond the root of {STRESSES[i]} times {STRESSES[j]}, {most[beyond[0]]:g}: no wind has that."
-            )
