@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
 import sys
@@ -103,6 +104,26 @@ def check_inputs(final: Path, inputs: Iterable[str | Path]) -> None:
             raise InputError(
                 f"Input {str(path)!r} lies in the output folder {str(final)!r}, which is to be written: give a copy "
                 "that lies elsewhere, or another output folder."
+            )
+
+
+def check_is_no_input(final: Path, inputs: Iterable[str | Path]) -> None:
+    """Refuse to write over a file that is read, by whatever way it is named.
+
+    Raises
+    ------
+    InputError
+        If the file is one of the inputs, which may be files, folders or patterns.
+    """
+    if not final.exists():
+        return
+    for given in inputs:
+        path = Path(given)
+        there = [path] if path.exists() else [Path(file) for file in glob.glob(str(given), recursive=True)]  # noqa: PTH207 - Path.glob knows no absolute pattern
+        if any(one.samefile(final) or (one.is_dir() and one.resolve() in final.resolve().parents) for one in there):
+            raise InputError(
+                f"Output {str(final)!r} is one of the files that are read (of {str(given)!r}), and these are not "
+                "written over: give another name, or another folder."
             )
 
 

@@ -16,6 +16,7 @@ from bayes_rs.folder_place import (
     cannot_write,
     check_free,
     check_inputs,
+    check_is_no_input,
     check_place,
     finish_replacing,
     make_folder,
@@ -100,17 +101,32 @@ def _fresh_folder(final: Path, *, overwrite: bool) -> Iterator[Path]:
 
 
 @contextmanager
-def output_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
     """Give a fresh file name to write to, which becomes `path` once it is written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write.
+    overwrite : bool
+        Replace an existing file.
+    inputs : iterable of str or Path
+        Files, folders and patterns that are read: none of their files is replaced.
+
+    Yields
+    ------
+    file : Path
+        Where to write.
 
     Raises
     ------
     InputError
-        If the file exists and may not be replaced, or cannot be written.
+        If the file exists and may not be replaced, is one of the inputs, or cannot be written.
     """
     final = Path(path)
     try:
         _check_no_file(final, overwrite=overwrite)
+        check_is_no_input(final, inputs)
         final.parent.mkdir(parents=True, exist_ok=True)
         folder = tempfile.TemporaryDirectory(dir=final.parent, prefix=f".{final.name[:_STEM]}-")
     except OSError as error:

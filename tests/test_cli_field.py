@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -40,6 +41,39 @@ def file(series, tmp_path_factory):
 
 def run(*words):
     return CliRunner().invoke(commands, [str(word) for word in words])
+
+
+class TestWhatIsRead:
+    """No command writes over a file that it reads, whatever it is told."""
+
+    @pytest.mark.parametrize("command", ["records", "wind", "sensitivity"])
+    @pytest.mark.parametrize("named", ["data.csv", ".", "*.csv", "far/../data.csv"])
+    def test_it_is_not_written_over(self, file, tmp_path, monkeypatch, command, named):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "far").mkdir()
+        data = file.read_bytes()
+        Path("data.csv").write_bytes(data)
+        done = run(command, named, *ANGLE, "-o", "data.csv", "--overwrite")
+        assert "Output 'data.csv' is one of the files that are read" in str(done.exception)
+        assert Path("data.csv").read_bytes() == data
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["data.csv", "far"]
+
+    def test_nor_are_motion_and_settings(self, file, tmp_path):
+        motion, settings = tmp_path / "motion.csv", tmp_path / "settings.toml"
+        motion.write_text("time,tilt\n2024-01-01,5\n")
+        brs.Settings().changed(files=(str(file),)).save(settings)
+        columns = ("--motion-column", "time=time", "--motion-column", "tilt_deg=tilt")
+        for words in ((file, *ANGLE, "--motion", motion, *columns, "-o", motion), (settings, "-o", settings)):
+            before = Path(words[-1]).read_bytes()
+            done = run("wind", *words, "--overwrite")
+            assert "is one of the files that are read" in str(done.exception)
+            assert Path(words[-1]).read_bytes() == before
+
+    def test_nor_is_what_is_looked_at(self, file, tmp_path):
+        (tmp_path / "data.csv").write_bytes(file.read_bytes())
+        done = run("look", tmp_path / "data.csv", "-o", tmp_path / "data.csv", "--overwrite")
+        assert "is one of the files that are read" in str(done.exception)
+        assert (tmp_path / "data.csv").read_bytes() == file.read_bytes()
 
 
 class TestWind:

@@ -346,3 +346,26 @@ class TestMeasuredDay:
         # neighbouring records differ by what turbulence explains, and by the weather: no less than the first alone
         step = np.diff(found["yaw"].values) / np.hypot(found["yaw_sd"].values[1:], found["yaw_sd"].values[:-1])
         assert 0.8 < np.nanstd(step) < 2.0
+
+
+def test_samples_and_records_of_another_scan_are_told(caplog):
+    """Whoever names a scan without its options gets numbers of other beams: every way in says so, and only then."""
+    scan = brs.load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0)
+    series = brs.read(brs.demo_file("6-beam-45"), scan)
+    records = brs.make_records(series, scan)
+    ways = [
+        lambda at: brs.make_records(series, at),
+        lambda at: brs.spectra.radial_spectra(series, at, records),
+        lambda at: brs.wind.mean_wind(records, at),
+        lambda at: brs.fit(records.isel(record=[0]), at, seed=1, sampler="direct", target_ess=100),
+    ]
+    for way in ways:
+        way(scan)
+    assert not caplog.messages
+    for way in ways:
+        caplog.clear()
+        way("6-beam")
+        assert sum("of another scan, '6-beam', than '6-beam'" in line for line in caplog.messages) == 1
+    caplog.clear()
+    brs.make_records(brs.read(brs.demo_file("6-beam-45"), "6-beam"), brs.load_scan("6-beam", tilt_deg=5.0))
+    assert "(tilt 0° and 5°, in the samples and now)" in caplog.messages[0]

@@ -55,7 +55,8 @@ def records(files: tuple[str, ...], output: Path, overwrite: bool, turbine: str 
     if turbine is not None:
         check_turbine(turbine)
     settings = settings_of(files, options)
-    with output_file(output, overwrite=overwrite) as part, with_standard_input(settings.files.files) as named:
+    written = output_file(output, overwrite=overwrite, inputs=[*files, *settings.all_inputs()])
+    with written as part, with_standard_input(settings.files.files) as named:
         made, _ = records_and_scan(settings.changed(files=tuple(named)))
         write_netcdf(made if turbine is None else with_turbine(made, turbine), part)
     ranges = f" at each of {made.sizes['range']} ranges" if "range" in made.sizes else ""
@@ -163,7 +164,7 @@ def calibrate(
 
     if method != "boxes":
         refuse_given(("n_boxes", "seed"), "it is of boxes, and the noise is made by theory: add --method boxes.")
-    with output_file(output, overwrite=overwrite) as part:
+    with output_file(output, overwrite=overwrite, inputs=settings.all_inputs()) as part:
         noise = run_calibration(
             settings.scan.load(),
             settings.noise.flow,

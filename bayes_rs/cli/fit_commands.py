@@ -201,6 +201,7 @@ def sensitivity(
     settings = settings_of(files, options)
 
     from contextlib import ExitStack
+    from functools import partial
 
     from bayes_rs.fits.prior_check import prior_sensitivity, sensitivity_lines
     from bayes_rs.intervals import interval_words
@@ -209,8 +210,9 @@ def sensitivity(
     refuse_beside_noise(settings)
     own, uncertainty = settings.fit, None
     with ExitStack() as stack:
-        part = None if output is None else stack.enter_context(output_file(output, overwrite=overwrite))
-        parts = [stack.enter_context(output_file(path, overwrite=overwrite)) for path in budgets]
+        writing = partial(output_file, overwrite=overwrite, inputs=[*files, *settings.all_inputs()])
+        part = None if output is None else stack.enter_context(writing(output))
+        parts = [stack.enter_context(writing(path)) for path in budgets]
         made, scan = records_and_scan(settings)
         asked: dict[str, Any] = {
             "noise": settings.noise.noise,

@@ -66,7 +66,7 @@ def wind(
 
     if hub_height is None:
         refuse_given(("law",), "it is of the profile, which is fitted where --hub-height is given: add that.")
-    with output_file(output, overwrite=overwrite) as part:
+    with output_file(output, overwrite=overwrite, inputs=[*files, *settings.all_inputs()]) as part:
         made, scan = records_and_scan(settings)
         flow = load_turbulence(settings.noise.flow)
         found = mean_wind(made, scan, turbulence=flow, heading_deg=heading_deg)

@@ -265,6 +265,10 @@ class Settings:
         named += [self.noise.noise, self.noise.flow, self.scan.scan, prior_file(self.fit.prior)]
         return [str(name) for name in named if name is not None and Path(name).exists()]
 
+    def all_inputs(self) -> list[str]:
+        """Return the same with folders and patterns as they are named: what is read, and not written over."""
+        return [*map(str, self.files.files), *self.input_files()]
+
     def with_whole_paths(self) -> Settings:
         """Return the settings with the paths of files from the root on, so that they hold in every folder."""
         return self._placed_in(Path.cwd())

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from bayes_rs.errors import InputError
-from bayes_rs.geometry.ranged_scan import short
+from bayes_rs.geometry.ranged_scan import RangedScan, short
+from bayes_rs.geometry.scan import Scan
+from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.geometry.scan_words import scan_difference
 from bayes_rs.records.layout import TURBINE, check_layout
+
+_log = logging.getLogger(__name__)
 
 
 def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
@@ -53,6 +63,40 @@ def check_starts(records: xr.Dataset, advice: str) -> None:
             f"{np.count_nonzero(again)} records start at the same time as another, the first at "
             f"{records['time'].values[again][0]}: {advice}{many}."
         )
+
+
+def warn_of_other_scan(data: xr.Dataset, scan: Scan | RangedScan) -> None:
+    """Warn that samples or records say that they are of another scan than the one that they are taken for.
+
+    Of a few of a scan's beams the key is another, and probe volumes may be changed on purpose: so it is no error.
+    """
+    key, own = str(data.attrs.get("scan_key", "")), scan.of_one if isinstance(scan, RangedScan) else scan
+    if key not in ("", own.key):
+        _log.warning(
+            "The %s are of another scan, %r, than %r, which they are taken for (%s): give the scan that they were made "
+            "with, unless this is meant.",
+            *("samples" if "radial_velocity" in data else "records", str(data.attrs.get("scan", "?")), own.name),
+            what_differs(data, key, own),
+        )
+
+
+def what_differs(data: xr.Dataset, key: str, scan: Scan) -> str:
+    """Say in what the scan that samples or records are of differs from another; `key` is that of the former.
+
+    They hold its name, its key and its tilt: it is known again by these.
+    """
+    mounted: dict[str, Any] = {}
+    if "tilt" in data and "motion_count" not in data:
+        mounted = {"tilt_deg": float(np.nanmedian(data["tilt"].values))}
+    candidates = [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
+    with suppress(InputError):  # the name need not mean anything here
+        name = str(data.attrs.get("scan", ""))
+        candidates += [load_scan(name, **more) for more in ({}, mounted)]
+    for made in candidates:
+        if made.key == key:
+            what = "samples" if "radial_velocity" in data else "records"
+            return f"{scan_difference(made, scan)}, in the {what} and now"
+    return "an option that its name does not tell, such as the opening angle, focus distance or tilt"
 
 
 def check_is_series(series: xr.Dataset, *, ranges: bool = False) -> None:

@@ -31,7 +31,7 @@ from bayes_rs.records.block_statistics import block_statistics
 from bayes_rs.records.checks import blades_in, check_records, in_wind_sectors
 from bayes_rs.records.counts import flags_report, samples_report
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, flag_attributes
-from bayes_rs.records.given import check_is_series
+from bayes_rs.records.given import check_is_series, warn_of_other_scan
 from bayes_rs.records.grid import on_grid
 from bayes_rs.records.layout import REPORT
 from bayes_rs.records.ranges import stack_ranges
@@ -139,6 +139,7 @@ def make_records(
     """
     of_scan, chosen = as_scan(scan), record_options(options)
     check_is_series(series, ranges=True)
+    warn_of_other_scan(series, of_scan)
     at_ranges = scan_of_series(series, of_scan)
     if isinstance(at_ranges, RangedScan):
         return _at_ranges(stacked(series, at_ranges), at_ranges, quality, options)

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.geometry.scan_file import as_scan, load_scan
-from bayes_rs.geometry.scan_words import scan_difference
+from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
-from bayes_rs.records.given import check_starts
+from bayes_rs.records.given import check_starts, what_differs
 from bayes_rs.records.layout import MAST_POSITION, OF_RANGES, REPORT, TURBINE, check_layout
 from bayes_rs.records.ranges import DISTANCE, each_range, has_ranges, scan_of_records
 
@@ -67,7 +62,7 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
     if key != scan.key:
         raise InputError(
             f"The records in {str(file)!r} were made with another scan, {dataset.attrs.get('scan', '?')!r}, than "
-            f"{scan.name!r} ({_difference(dataset, key, scan)}): name that scan, with the same options, or make the "
+            f"{scan.name!r} ({what_differs(dataset, key, scan)}): name that scan, with the same options, or make the "
             "records anew with this one."
         )
     if has_ranges(dataset):
@@ -76,24 +71,6 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
             raise InputError(f"The records in {str(file)!r} do not say their {DISTANCE}: make them anew.")
         return each_range(dataset, at_ranges, lambda part, _: believed(part))
     return believed(dataset)
-
-
-def _difference(records: xr.Dataset, key: str, scan: Scan) -> str:
-    """Say in what the scan that records were made with differs from another; `key` is that of the former.
-
-    Records hold its name, its key and its tilt: it is known again by these.
-    """
-    mounted: dict[str, Any] = {}
-    if "tilt" in records and "motion_count" not in records:
-        mounted = {"tilt_deg": float(np.nanmedian(records["tilt"].values))}
-    candidates = [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
-    with suppress(InputError):  # the name need not mean anything here
-        name = str(records.attrs.get("scan", ""))
-        candidates += [load_scan(name, **more) for more in ({}, mounted)]
-    for made in candidates:
-        if made.key == key:
-            return f"{scan_difference(made, scan)}, in the records and now"
-    return "an option that its name does not tell, such as the opening angle, focus distance or tilt"
 
 
 def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> xr.Dataset | None:

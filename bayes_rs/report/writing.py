@@ -121,7 +121,8 @@ def write_report(
         measured = None if reference is None else make_reference(data, reference)
         parts = _budget_of(found) if budget else None
         html = partial(render, data, title=title, reference=measured, beside=compared, budget=parts)
-    with output_file(file, overwrite=overwrite) as part:
+    read = [reference] if isinstance(reference, (str, Path)) else []
+    with output_file(file, overwrite=overwrite, inputs=read) as part:
         part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it

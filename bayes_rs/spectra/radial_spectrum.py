@@ -12,6 +12,7 @@ from bayes_rs._validation import FloatArray, check_count, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.records.given import warn_of_other_scan
 from bayes_rs.spectra.beam_samples import beam_samples
 from bayes_rs.spectra.lag_window import ordinate_correlation, ordinates, taper_weights
 
@@ -69,6 +70,7 @@ def radial_spectra(series: xr.Dataset, scan: Scan | str | Path, records: xr.Data
     True
     """
     scan = as_scan(scan)
+    warn_of_other_scan(series, scan)
     check_count(tapers, what="tapers", minimum=0)
     if tapers > _MOST_TAPERS:
         raise InputError(f"Invalid tapers {tapers}: at most {_MOST_TAPERS} are of use; 0 is the plain periodogram.")

@@ -15,6 +15,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
 from bayes_rs.records.belief import believed
 from bayes_rs.records.flags import RECORD_FLAGS
+from bayes_rs.records.given import warn_of_other_scan
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
 from bayes_rs.turbulence.mann import MannTurbulence, as_turbulence
 from bayes_rs.wind.mean_error import check_records, record_mean_covariance
@@ -96,6 +97,7 @@ def mean_wind(
     (array([0.4, 0.4]), array([2.4, 2.2]))
     """
     scan = as_scan(scan)
+    warn_of_other_scan(records, scan)
     turbulence = None if turbulence is None else as_turbulence(turbulence)
     scan = check_records(records, scan)
     records = believed(records)
