@@ -369,3 +369,20 @@ def test_samples_and_records_of_another_scan_are_told(caplog):
     caplog.clear()
     brs.make_records(brs.read(brs.demo_file("6-beam-45"), "6-beam"), brs.load_scan("6-beam", tilt_deg=5.0))
     assert "(tilt 0° and 5°, in the samples and now)" in caplog.messages[0]
+
+
+def test_wind_from_behind_is_doubted_unless_the_lidar_looks_downwind():
+    """As velocities of the wrong sign give it."""
+    scan = brs.load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0)
+    series = brs.read(brs.demo_file("6-beam-45"), scan)
+    records = brs.make_records(series.assign(radial_velocity=-series["radial_velocity"]), scan)
+    words = (
+        f"the wind comes from behind the lidar in {records.sizes['record']} of {records.sizes['record']} records, and"
+    )
+    options = {"seed": 1, "sampler": "direct", "target_ess": 100, "campaign": "off"}
+    assert words in brs.fit(records, scan, **options).headline().doubtful
+    ahead = brs.fit(brs.make_records(series, scan), scan, **options)
+    assert "from behind" not in ahead.headline().doubtful
+    turned = brs.load_scan("6-beam", opening_angle_deg=45.0, focus_distance=52.0, yaw_deg=180.0)
+    assert turned.key == scan.key
+    assert "from behind" not in brs.fit(records, turned, **options).headline().doubtful

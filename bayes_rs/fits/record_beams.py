@@ -24,6 +24,7 @@ from bayes_rs.geometry.inflow import gradient_columns
 from bayes_rs.geometry.probe import PointProbe
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.noise.noise import Noise
+from bayes_rs.records.counts import wind_from_behind
 from bayes_rs.wind.mean_error import mean_moments
 
 _CHUNK_NUMBERS = 400_000
@@ -104,7 +105,20 @@ def record_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, op
     whole = {name: getattr(nothing, name).copy() for name in values}
     for name, found in values.items():
         whole[name][fitted] = found
-    return RecordBeams(**whole, numbers=told.numbers())
+    return RecordBeams(**whole, numbers=_with_wind(told.numbers(), records["yaw"].values[fitted], scan))
+
+
+def _with_wind(numbers: dict[str, Any], yaw: FloatArray, scan: Scan) -> dict[str, Any]:
+    """Add that the wind comes from behind, as it does where the sign of the velocities is wrong."""
+    behind = wind_from_behind(yaw, scan)
+    if abs(scan.yaw) > 0.5 * np.pi or 2 * np.count_nonzero(behind) <= len(yaw):
+        return numbers
+    count = f"{np.count_nonzero(behind)} of {len(yaw)} records"
+    line = (
+        f"the wind comes from behind the lidar in {count}, and so it does with velocities of the wrong sign: "
+        "positive='towards' or 'away' (--positive) says it; of a lidar that looks downwind, its yaw of 180 degrees does"
+    )
+    return {**numbers, **{name: [line, *numbers[name]] for name in ("words", "together")}}
 
 
 def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, options: FitOptions) -> CheckWords:

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bayes_rs._validation import FloatArray
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.quality.belief import of_unset_clock
 from bayes_rs.quality.filtering import Filtered
@@ -42,6 +43,12 @@ def samples_report(came: SortedSamples, filtered: Filtered, n_sample: int) -> di
     }
 
 
+def wind_from_behind(yaw: FloatArray, scan: Scan) -> NDArray[np.bool_]:
+    """Return which winds, degrees from the lidar's axis, come from behind a scan that has a front; else none."""
+    looks_ahead = -scan.level_direction[:, 0].mean() > _AHEAD
+    return np.asarray((np.abs(yaw) > 90.0) & looks_ahead)
+
+
 def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int) -> dict[str, Any]:
     """Count records and beams by their flags; `numbers` are those of the beams, `window` is a record's length, ns."""
     flag, start = records["flag"].values, records["time"].values
@@ -52,7 +59,6 @@ def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int
     rarely = (flagged.sum(axis=0) > _RARELY * len(flagged)) & ~never
     unset = of_unset_clock(start)
     far = np.flatnonzero(np.diff(start.astype("datetime64[ns]").astype(np.int64)) > window)
-    looks_ahead = -scan.level_direction[:, 0].mean() > _AHEAD
     return {
         "records": len(flag),
         "records_without_samples": int(empty.sum()),
@@ -66,7 +72,7 @@ def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int
         "few_samples": _few_samples(records),
         "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),
         "record_flags": count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
-        "records_with_wind_from_behind": int(looks_ahead and (np.abs(records["yaw"].values) > 90.0).sum()),
+        "records_with_wind_from_behind": int(wind_from_behind(records["yaw"].values, scan).sum()),
     }
 
 
