@@ -36,7 +36,7 @@ from bayes_rs.priors.registry import Prior
 from bayes_rs.processor import note_processor, one_thread, processor_kind
 from bayes_rs.progress import progress_counter
 from bayes_rs.records.belief import believed
-from bayes_rs.records.given import check_are_records, warn_of_other_scan
+from bayes_rs.records.given import check_are_records, check_starts, warn_of_other_scan
 from bayes_rs.records.ranges import scan_of_records
 
 
@@ -139,6 +139,7 @@ def fit(
     """
     own, choice = split_options({"seed": seed, **options})
     check_are_records(records, ranges=True)
+    check_starts(records, "give every record once, and no two that overlap")
     named = as_scan(scan)
     warn_of_other_scan(records, named)
     used = scan_of_records(records, named)

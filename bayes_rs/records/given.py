@@ -41,7 +41,6 @@ def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
         raise InputError(
             "Invalid records: they hold no beam; select at least one, or make them again with make_records."
         )
-    check_starts(records, "give every record once, and no two that overlap")
 
 
 def check_starts(records: xr.Dataset, advice: str) -> None:
