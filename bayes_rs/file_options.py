@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import timedelta, timezone, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 from typing import Any, ClassVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -63,13 +63,14 @@ class FileOptions:
     the beam in m: of a table with several, the rows at the scan's distances are read. In files of rays it also names
     ``azimuth``, ``elevation``, ``distance`` (or ``range``), ``height``, ``gate``, ``sx``, ``sy`` and ``phase``. In a
     file without headings a column is its number, from 1. ``beam_numbers``, if given, must name every beam of the files.
-    ``time_zone`` is of text and Parquet files; NetCDF files count in UTC. ``time_format`` is a pattern, ``unix`` or
-    ``labview`` (seconds since 1970 or 1904), ``unix-ms``, ``unix-us`` or ``unix-ns`` (milli-, micro- or nanoseconds),
-    or ``matlab`` (days, as datenum counts). The time kept is the start of a sample: with ``time_stamp`` middle or end,
-    times are moved back by the duration that the file gives, or by ``sample_duration``. Gates of rays are within half
-    of their spacing of the focus distance, unless ``range_tolerance`` is given. With ``range`` or ``height`` the beams
-    are read at each of several distances, which stay apart: each gets its own R. Every format with its source, sign,
-    stamp and zone stands in docs/formats.md.
+    ``time_zone`` is of written times in text and Parquet files; NetCDF and Halo files and counted times are in UTC, and
+    refuse another zone of the caller's. ``time_format`` is a pattern, ``unix`` or ``labview`` (seconds since 1970 or
+    1904), ``unix-ms``, ``unix-us`` or ``unix-ns`` (milli-, micro- or nanoseconds), or ``matlab`` (days, as datenum
+    counts). The time kept is the start of a sample: with ``time_stamp`` middle or end, times are moved back by the
+    duration that the file gives, or by ``sample_duration``. Gates of rays are within half of their spacing of the focus
+    distance, unless ``range_tolerance`` is given. With ``range`` or ``height`` the beams are read at each of several
+    distances, which stay apart: each gets its own R. Every format with its source, sign, stamp and zone stands in
+    docs/formats.md.
 
     Examples
     --------
@@ -239,6 +240,18 @@ def as_zone(name: str) -> tzinfo:
         raise InputError(
             f"Unknown time_zone {name!r}: it must be a name such as UTC or Europe/Berlin, or an offset such as UTC+1."
         ) from error
+
+
+def is_utc(name: str) -> bool:
+    """Say whether a time zone is UTC by another name or offset.
+
+    Examples
+    --------
+    >>> is_utc("Etc/UTC"), is_utc("+00:00"), is_utc("Europe/London")
+    (True, True, False)
+    """
+    zone = as_zone(name)
+    return all(zone.utcoffset(datetime(2020, month, 1)) == timedelta(0) for month in (1, 7))
 
 
 def _check_length(name: str, value: Any) -> None:

@@ -76,6 +76,8 @@ class Entry:
         Whether all that is a number is above zero.
     most : float
         Absolute value that none of its numbers exceeds: powers of them still are numbers.
+    least : float
+        Number that none of them is below.
     flags : bool
         Whether its attributes may name bits, by the CF conventions.
     """
@@ -86,6 +88,7 @@ class Entry:
     values: tuple[Any, ...] = ()
     positive: bool = False
     most: float = 1e12
+    least: float = float("-inf")
     flags: bool = False
 
 
@@ -284,6 +287,8 @@ def _fault_of_values(values: Any, entry: Entry, attributes: Mapping[Any, Any]) -
         return f"holds {values[values <= 0.0][0]}, and must be above zero"
     if entry.kind == "number" and (beyond := np.abs(values) > entry.most).any():
         return f"holds {values[beyond][0]:g}, and must hold numbers up to {entry.most:g}"
+    if entry.kind == "number" and (below := values < entry.least).any():
+        return f"holds {values[below][0]:g}, and must hold no number below {entry.least:g}"
     if entry.flags and not _names_bits(attributes):
         return "has flag_masks and flag_meanings that do not fit each other"
     return ""

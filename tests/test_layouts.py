@@ -361,6 +361,11 @@ class TestRecords:
             (lambda d: d.assign(wind_speed=d["wind_speed"].assign_attrs(units="knots")), "wind_speed is in 'knots'"),
             (lambda d: d.assign(flag=d["flag"].astype(float)), "flag holds numbers"),
             (lambda d: d.assign(part_wind=(("part", "record"), np.zeros((3, N_RECORD)))), "part_wind has dims"),
+            (
+                lambda d: d.assign(count=(d["variance"].dims, np.full(d["variance"].shape, -5))),
+                "count holds -5, and must",
+            ),
+            (lambda d: d.assign(motion_count=("record", np.full(N_RECORD, -1))), "motion_count holds -1, and must"),
             (lambda d: d.assign_attrs(duration="long"), "duration = 'long'"),
             (lambda d: d.assign_attrs(records_report="{"), "records_report"),
             (lambda d: d.assign_attrs(read_report='{"files": 3}'), "read_report.files"),

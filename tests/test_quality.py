@@ -647,6 +647,28 @@ class TestBadInput:
             ({"min_wind_speed": 0.0}, "Invalid min_wind_speed 0.0 m/s: it must be a finite number above zero."),
             ({"blocked_sectors": {"azimuth": [(1, 2, 3)]}}, "Invalid sectors [(1, 2, 3)]: each must be a pair"),
             ({"wind_sectors": {0: [(0, np.nan)]}}, "Invalid sectors [(0, nan)]: each must be a pair"),
+            (
+                {"exclude": ["low_wind"], "trend_level": 0.01},
+                "Invalid exclude 'low_wind': it does nothing without min_wind_speed (--min-wind-speed); give that, or",
+            ),
+            (
+                {"exclude": ["not_stationary"], "min_wind_speed": 3.0},
+                "exclude 'not_stationary': it does nothing without trend_level (--trend-level) or sub_variance",
+            ),
+            (
+                {"hard_target_speed": 2.0},
+                "Invalid hard_target_speed 2.0: it does nothing without hard_target_cnr (--",
+            ),
+            ({"blade_window": 13}, "Invalid blade_window 13: it does nothing without blade_threshold (--blade"),
+            ({"despike_window": 13}, "Invalid despike_window 13: it does nothing without despike (--despike); give"),
+            (
+                {"despike_threshold": 6.0},
+                "Invalid despike_threshold 6.0: it does nothing without despike (--despike); give",
+            ),
+            (
+                {"sub_records": 10, "half_ratio_limit": 4.0},
+                "Invalid sub_records 10: it does nothing without trend_level (--trend-level) or sub_v",
+            ),
         ],
     )
     def test_rules(self, options, message):

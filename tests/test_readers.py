@@ -6,6 +6,7 @@ import contextlib
 import gzip
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,49 @@ class TestEveryFormatGivesTheSameSeries:
         file = tmp_path / "day.nc"
         long_frame().set_index(["time", "beam"]).to_xarray().to_netcdf(file)
         assert_same(read(file, SCAN), reference)
+
+    @pytest.mark.parametrize("suffix", [".csv", ".nc"])
+    def test_marks_of_missing_entries_are_no_beams_and_no_statuses(self, tmp_path, suffix):
+        file, frame = tmp_path / f"day{suffix}", long_frame()
+        frame.loc[:5, "radial_velocity"] = [0.0, 1.0, 9999.0] * 2
+        frame.loc[6, "status"] = 9999
+        if suffix == ".csv":
+            frame.loc[7, "beam"] = 9999
+            frame.to_csv(file, index=False)
+        else:
+            xr.Dataset.from_dataframe(frame.rename_axis("sample")).to_netcdf(file)
+        series = read(file, SCAN, invalid=[0, 1, 9999])
+        kept = frame[frame["beam"] != 9999]
+        np.testing.assert_array_equal(series["beam"], kept["beam"])
+        np.testing.assert_array_equal(series["status"], kept["status"].where(kept["status"] != 9999))
+        assert np.isnan(series["radial_velocity"][:6]).all()
+
+    def test_marks_of_missing_entries_are_no_angles(self, tmp_path):
+        rows = [f"2020-09-03T19:00:0{second}Z,0,62,100,5.5" for second in range(3)]
+        file = long_csv(tmp_path, *rows, head="time,azimuth,elevation,distance,radial_velocity\n")
+        rays = READERS["rays"].rays(file, resolve_format(FileOptions(invalid=0), None))
+        assert np.isfinite(rays.direction).all()
+
+    @pytest.mark.parametrize(
+        ("name", "options", "match"),
+        [("day.nc", {}, "times of format netcdf"), ("day.csv", {"time_format": "unix"}, "times of time_format unix")],
+    )
+    def test_a_zone_that_would_not_be_used_is_refused(self, tmp_path, name, options, match):
+        file, frame = tmp_path / name, long_frame()
+        if name == "day.nc":
+            frame.set_index(["time", "beam"]).to_xarray().to_netcdf(file)
+        else:
+            frame.assign(time=frame["time"].astype("datetime64[ns]").astype("int64") / 1e9).to_csv(file, index=False)
+        plain = read(file, SCAN, **options)
+        assert_same(read(file, SCAN, time_zone="+00:00", **options), plain)
+        with pytest.raises(
+            InputError, match=rf"Invalid time_zone 'UTC\+1' for file .*{name}': {match} are taken for UTC"
+        ):
+            read(file, SCAN, time_zone="UTC+1", **options)
+        of_scan = replace(SCAN, file_format={"time_zone": "UTC+1"})
+        series = read(file, of_scan, **options)
+        assert report_of(series)["files"][0]["time_zone"] == "UTC"
+        assert (series["time"].values == plain["time"].values).all()
 
     def test_what_we_write_is_read_back(self, tmp_path):
         """Even with a scan whose own files count positive towards the lidar and name things otherwise."""

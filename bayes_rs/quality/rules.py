@@ -16,6 +16,19 @@ from bayes_rs.quality.sectors import Sector
 DESPIKE_RULES = ("median",)
 REMARKS = ("not_stationary", "low_wind")
 """Flags of records that the checks set, and that `exclude` can name."""
+_REMARKED_BY = {
+    "not_stationary": ("trend_level", "sub_variance_limit", "half_ratio_limit"),
+    "low_wind": ("min_wind_speed",),
+}
+"""The rules that set a remark: at least one of them must be given before it can exclude."""
+_PART_OF = {
+    "hard_target_speed": ("hard_target_cnr",),
+    "blade_window": ("blade_threshold",),
+    "despike_window": ("despike",),
+    "despike_threshold": ("despike",),
+    "sub_records": ("trend_level", "sub_variance_limit"),
+}
+"""The rules that a number is part of; without one of them it does nothing."""
 
 Pair = tuple[float, float]
 Window = Pair | Mapping[int, Pair]
@@ -165,6 +178,20 @@ class QualityRules:
             and not check_finite(self.half_ratio_limit, what="half_ratio_limit", unit="") > 1.0
         ):
             raise InputError(f"Invalid half_ratio_limit {self.half_ratio_limit!r}: it must be above 1; 4 is usual.")
+        self._check_needed()
+
+    def _check_needed(self) -> None:
+        """Refuse what does nothing without a rule that is not given."""
+        for remark in self.exclude:
+            self._check_one_of(_REMARKED_BY[remark], f"exclude {remark!r}", "remark out of exclude")
+        for name, rules in _PART_OF.items():
+            if getattr(self, name) != type(self).__dataclass_fields__[name].default:
+                self._check_one_of(rules, f"{name} {getattr(self, name)!r}", "number out")
+
+    def _check_one_of(self, rules: Sequence[str], what: str, left: str) -> None:
+        if all(getattr(self, name) is None for name in rules):
+            words = " or ".join(f"{name} (--{name.replace('_', '-')})" for name in rules)
+            raise InputError(f"Invalid {what}: it does nothing without {words}; give that, or leave the {left}.")
 
     def needed_columns(self) -> dict[str, str]:
         """Return the variables of a series that the rules need, each with the option that needs it, in words."""

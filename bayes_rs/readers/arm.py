@@ -70,4 +70,5 @@ READER = Reader(
     read=read_arm,
     rays=arm_rays,
     defaults={"positive": "away"},
+    in_utc=True,
 )

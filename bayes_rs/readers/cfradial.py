@@ -159,4 +159,5 @@ READER = Reader(
     rays=cfradial_rays,
     own_options=own_options,
     defaults={"positive": "away"},
+    in_utc=True,
 )

@@ -161,4 +161,5 @@ READER = Reader(
     read=read_e_windlidar,
     rays=e_windlidar_rays,
     defaults={"time_stamp": "start"},
+    in_utc=True,
 )

@@ -63,7 +63,7 @@ def numbers(column: Column, file_format: FileFormat) -> tuple[FloatArray, BoolAr
     finite = np.isfinite(values)
     if not file_format.invalid:
         return values if finite.all() else np.where(finite, values, np.nan), np.zeros(len(values), dtype=bool)
-    is_invalid = file_format.is_invalid(values)
+    is_invalid = file_format.is_invalid(values, column.name)
     return np.where(is_invalid | ~finite, np.nan, values), is_invalid
 
 
@@ -214,10 +214,11 @@ def beams(column: Column, scan: Scan, file_format: FileFormat) -> tuple[NDArray[
     is_missing[-1] = True
     for index, raw in enumerate(labels):
         label = beam_label(raw)
-        if label == "" or label.lower() == "nan" or bool(file_format.is_invalid(_as_float(label))):
+        number = beam_number(label, scan, file_format)
+        is_mark = number is None and bool(file_format.is_invalid(_as_float(label)))  # the scan's beams mark nothing
+        if label == "" or label.lower() == "nan" or is_mark:
             is_missing[index], is_invalid[index] = True, label not in ("", "nan")
             continue
-        number = beam_number(label, scan, file_format)
         if number is None:
             _refuse_beam(label, code == index, column, scan, file_format)
             is_missing[index] = True

@@ -15,6 +15,17 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import TIME_STAMPS, VELOCITY_LIMIT, VELOCITY_UNITS, FileOptions, as_zone
 from bayes_rs.geometry.scan import Scan
 
+_NO_MARKS = {
+    "status": (0.0, 255.0),
+    "gate": (0.0, 1000.0),
+    "azimuth": (-360.0, 360.0),
+    "elevation": (-90.0, 90.0),
+    "phase": (-360.0, 360.0),
+    "sx": (-1.0, 1.0),
+    "sy": (-1.0, 1.0),
+}
+"""Lowest and highest number of columns that is a status or a place: 0 may mark a velocity, and be north here."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FileFormat(FileOptions):
@@ -90,9 +101,13 @@ class FileFormat(FileOptions):
         moved: NDArray[np.datetime64] = time - np.where(np.isfinite(shift), shift, 0.0).astype("timedelta64[ns]")
         return moved
 
-    def is_invalid(self, values: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Say which values are among those that mark a missing entry."""
-        return np.isin(values, np.asarray(self.invalid, dtype=np.float64))
+    def is_invalid(self, values: FloatArray, name: str = "") -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Say which values of a column mark a missing entry: none that is a status, or a place, as 0 can be."""
+        marked = np.isin(values, np.asarray(self.invalid, dtype=np.float64))
+        if name not in _NO_MARKS:
+            return marked
+        low, high = _NO_MARKS[name]
+        return marked & ~((values >= low) & (values <= high))
 
 
 def resolve_format(options: FileOptions, scan: Scan | None, *, defaults: Mapping[str, Any] | None = None) -> FileFormat:

@@ -227,4 +227,5 @@ READER = Reader(
     read=read_halo,
     rays=halo_rays,
     defaults={"positive": "away", "time_zone": "UTC"},
+    in_utc=True,
 )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.errors import InputError
+from bayes_rs.file_options import TIME_FORMATS, FileOptions, is_utc
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.rays import Rays
@@ -48,6 +50,8 @@ class Reader:
     must_say : tuple of str, optional
         Options of `defaults` that nothing in such a file tells, so that the caller or the scan must give them before
         velocities are read. A survey of directions needs none of them.
+    in_utc : bool
+        Whether times of this format are UTC whatever an option says, as those of NetCDF files are.
     """
 
     name: str
@@ -62,3 +66,23 @@ class Reader:
     ranges: Callable[[Path, FileFormat], FloatArray] | None = None
     own_options: Callable[[Path], Mapping[str, Any] | None] | None = None
     must_say: tuple[str, ...] = ()
+    in_utc: bool = False
+
+    def with_zone(self, file: Path, options: FileOptions, file_format: FileFormat) -> FileFormat:
+        """Return how to read a file, with the zone that its times are taken in: counted times are in UTC, too.
+
+        Raises
+        ------
+        InputError
+            If the caller gives another zone, which would change nothing.
+        """
+        counted = file_format.time_format in TIME_FORMATS
+        if is_utc(file_format.time_zone) or not (self.in_utc or counted):
+            return file_format
+        if options.time_zone is not None:
+            why = f"format {self.name}" if self.in_utc else f"time_format {file_format.time_format}"
+            raise InputError(
+                f"Invalid time_zone {options.time_zone!r} for file {str(file)!r}: times of {why} are taken for UTC; "
+                "leave it out (--time-zone). If they are in another zone, correct the file."
+            )
+        return replace(file_format, time_zone="UTC")

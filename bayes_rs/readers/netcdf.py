@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ def read_netcdf(file: Path, scan: Scan, file_format: FileFormat) -> Samples:
     if isinstance(scan, RangedScan) and "range" not in column:
         raise no_range(file)
     file_format = with_velocity_unit(file_format, stated, name=velocity, file=file)
-    time, invalid = times(column["time"], replace(file_format, time_zone="UTC"))
+    time, invalid = times(column["time"], file_format)
     beam, no_beam, invalid_beam = beams(column["beam"], scan, file_format)
     invalid = invalid | invalid_beam
     value = {}
@@ -181,4 +180,5 @@ READER = Reader(
     read=read_netcdf,
     ranges=ranges_of_netcdf,
     own_options=own_options,
+    in_utc=True,
 )

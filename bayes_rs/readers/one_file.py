@@ -119,11 +119,12 @@ def _reader_of(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, Fi
     if own is None:
         file_format = resolve_format(options, scan, defaults=reader.defaults)
         _check_said(file, reader, file_format)
-        return reader, file_format
+        return reader, reader.with_zone(file, options, file_format)
     try:
-        return reader, resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
+        file_format = resolve_format(FileOptions(**{**own, **options.given()}), None, defaults=reader.defaults)
     except InputError as error:
         raise InputError(f"File {str(file)!r} says of itself what cannot be used: {error}") from error
+    return reader, reader.with_zone(file, options, file_format)
 
 
 def _check_said(file: Path, reader: Reader, file_format: FileFormat) -> None:

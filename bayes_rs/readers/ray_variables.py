@@ -188,7 +188,7 @@ def _values(
             values = values.reshape(n_ray) if per_ray else values.reshape(n_ray, n_gate)
             bad = ~np.isfinite(values)
             if file_format.invalid and name not in ("intensity", "height"):
-                is_invalid = file_format.is_invalid(values)
+                is_invalid = file_format.is_invalid(values, name)
                 invalid |= is_invalid if per_ray else is_invalid.any(axis=1)
                 bad |= is_invalid
             values = values if factor == 1.0 else factor * values

@@ -95,7 +95,7 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
                 resolved = resolve_format(options, None, defaults=reader.defaults)
                 fits = plain_suffix(plain) in reader.suffixes
                 if name == kind or (kind == "auto" and fits and reader.recognises(plain, nothing, resolved)):
-                    return reader.rays(plain, resolved)  # type: ignore[misc]  # those of RAY_READERS are not None
+                    return reader.rays(plain, reader.with_zone(plain, options, resolved))  # type: ignore[misc]  # those of RAY_READERS are not None
             if plain_suffix(plain) in NETCDF_SUFFIXES:
                 glance(plain)  # a damaged one says so: no reader recognises it
         except InputError as error:

@@ -119,4 +119,5 @@ READER = Reader(
     read=read_windcube,
     rays=windcube_rays,
     defaults={"positive": "away", "time_stamp": "end", "status_valid": STATUS_VALID},
+    in_utc=True,
 )
