@@ -149,7 +149,8 @@ class FileOptions:
     phase_turns: str | None = option(None, "Which way a ZX's phase turns from there", choices=TURNS)
     out_of_order: str = option(
         "error",
-        "What to do where time goes backwards, or a beam has two velocities at one time: refuse, or sort",
+        "What to do where time goes backwards: refuse, or sort. Two velocities of one beam at one time are refused "
+        "either way; only of a few, as of a clock that was set back, sort makes missing ones",
         choices=OUT_OF_ORDER,
     )
     bad_rows: str = option(
