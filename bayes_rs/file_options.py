@@ -14,6 +14,7 @@ import numpy as np
 from bayes_rs._validation import check_choice, check_finite, check_positive
 from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.options import described, option, options_of
+from bayes_rs.quantities import MOST_WIND
 
 NAMES = ("time", "beam", "radial_velocity", "cnr", "status", "range")
 STANDARD_INPUT = "-"
@@ -26,8 +27,8 @@ SIGNS = ("away", "towards")
 TIME_STAMPS = {"start": 0.0, "middle": 0.5, "end": 1.0}
 TIME_FORMATS = ("unix", "unix-ms", "unix-us", "unix-ns", "labview", "matlab")
 VELOCITY_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "knot": 1852.0 / 3600.0, "cm/s": 0.01, "mm/s": 0.001}
-VELOCITY_LIMIT = 90.0
-"""m/s; faster than any wind near the ground, and slower than the numbers that mark a missing entry, from 99 on."""
+VELOCITY_LIMIT = MOST_WIND
+"""m/s, beyond which velocities of files count as missing."""
 GATES_BY = ("distance", "height")
 DECIMALS = (".", ",")
 TURNS = ("up", "down")
@@ -150,7 +151,8 @@ class FileOptions:
     phase_turns: str | None = option(None, "Which way a ZX's phase turns from there", choices=TURNS)
     out_of_order: str = option(
         "error",
-        "What to do where time goes backwards, or a beam has two velocities at one time: refuse, or sort",
+        "What to do where time goes backwards: refuse, or sort. Two velocities of one beam at one time are refused "
+        "either way; only of a few, as of a clock that was set back, sort makes missing ones",
         choices=OUT_OF_ORDER,
     )
     bad_rows: str = option(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -27,8 +28,20 @@ HATCH = "////"
 DATA_MARK: dict[str, Any] = {"color": POSTERIOR_COLOUR}
 PRIOR_MARK: dict[str, Any] = {"color": PRIOR_COLOUR, "markerfacecolor": "white"}
 """How marks are drawn, of what the data decided and of what is mostly the prior's."""
+_NO_PICTURES = ("avif", "pgf", "raw", "rgba")
 BEHIND: dict[str, Any] = {"color": PRIOR_COLOUR, "alpha": 0.15, "linewidth": 0}
 """How the prior's band behind a posterior is drawn."""
+
+
+def picture_suffixes() -> tuple[str, ...]:
+    """Return how the names of files can end that a figure is saved to, with the dot.
+
+    Notes
+    -----
+    These are matplotlib's, without those that need more than is installed with it (``.pgf`` LaTeX, ``.avif`` a new
+    Pillow), and without ``.raw`` and ``.rgba``, which state no size.
+    """
+    return tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes() if name not in _NO_PICTURES)
 
 
 class Picture(Figure):

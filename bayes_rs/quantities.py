@@ -33,6 +33,8 @@ _VARIANCE = Limits(1e-12, 1e3, "0.001 to 0.1 are usual")
 _DECIBEL = Limits(-1e3, 1e3)
 _COUNT = Limits(0, 10**9)
 
+MOST_WIND = 90.0
+"""m/s; faster than any wind near the ground, and slower than the numbers that mark a missing entry, from 99 on."""
 LIMITS: dict[str, Limits] = {
     # times, s
     "duration": Limits(1e-2, 31 * DAY, "600 is usual"),
@@ -45,8 +47,8 @@ LIMITS: dict[str, Limits] = {
     "max_gap": Limits(1e-9, 366 * DAY),
     "time_offset": Limits(-366 * DAY, 366 * DAY),
     # flow
-    "wind_speed": Limits(1e-3, 200.0, "3 to 25 are usual"),
-    "min_wind_speed": Limits(1e-6, 200.0, "1 to 5 are usual"),
+    "wind_speed": Limits(1e-3, MOST_WIND, "3 to 25 are usual"),
+    "min_wind_speed": Limits(1e-6, MOST_WIND, "1 to 5 are usual"),
     "velocity_limit": Limits(1e-3, 1e6, "90 is usual"),
     "hard_target_speed": Limits(1e-6, 200.0, "0.5 is usual"),
     "length_scale": Limits(1e-2, 1e5, "30 to 100 are usual"),

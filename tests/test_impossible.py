@@ -141,6 +141,18 @@ class TestFillValuesNobodyDeclared:
         xr.testing.assert_equal(declared, wanted)
         assert doubt_lines(declared) == []
 
+    @pytest.mark.parametrize("name", READERS)
+    def test_infinity_is_no_number_and_missing_in_every_reader(self, tmp_path, name):
+        scan, file_name, write, options, series = scene(name)
+        chosen, read_back = some_of(series), []
+        for value in (np.inf, np.nan):
+            (tmp_path / str(value)).mkdir()
+            read_back.append(
+                read(write(tmp_path / str(value) / file_name, with_velocity(series, chosen, value)), scan, **options)
+            )
+        xr.testing.assert_equal(*read_back)
+        assert doubt_lines(read_back[0]) == []
+
     @pytest.mark.usefixtures("no_pictures")
     def test_the_command_says_so_and_ends_with_1(self, tmp_path):
         series = series_of(HUB, n_scan=700)

@@ -111,7 +111,7 @@ class TestSonic:
 
     def test_its_stresses_are_taken(self, series):
         stresses = sonic_stresses(series)
-        ti, speed = intensity_reference(stresses, START, 600.0)
+        ti, speed, _ = intensity_reference(stresses, START, 600.0)
         np.testing.assert_allclose(speed, stresses["wind_speed"].values)
         np.testing.assert_allclose(ti, np.sqrt(stresses["stress"].values[:, 0]) / speed)
         assert 0.09 < ti.mean() < 0.11  # 1 m/s in 10 m/s
@@ -142,19 +142,19 @@ class TestSonic:
 
 class TestMatching:
     def test_rows_are_found_by_time_in_any_order(self):
-        ti, speed = intensity_reference(table(U=np.arange(5.0)).iloc[[3, 0, 4, 1, 2]], START, 600.0)
+        ti, speed, _ = intensity_reference(table(U=np.arange(1.0, 6.0)).iloc[[3, 0, 4, 1, 2]], START, 600.0)
         np.testing.assert_array_equal(ti, TI)
-        np.testing.assert_array_equal(speed, np.arange(5.0))
+        np.testing.assert_array_equal(speed, np.arange(1.0, 6.0))
 
     def test_a_row_belongs_to_a_record_within_a_twentieth_of_its_length(self):
         late = [np.timedelta64(seconds, "s") for seconds in (0, 29, 31, -30, -31)]
-        ti, _ = intensity_reference(table(), START + np.array(late), 600.0)
+        ti, _, _ = intensity_reference(table(), START + np.array(late), 600.0)
         assert np.isnan(ti).tolist() == [False, False, True, False, True]
 
     def test_sigma_over_wind_and_offsets_of_time(self, tmp_path):
         file = tmp_path / "mast.csv"
         file.write_text("Timestamp,sigma_u,U\n2020-09-03T21:00+02:00,1.0,10.0\n2020-09-03T21:10+02:00,,10\n")
-        ti, speed = intensity_reference(file, START, 600.0)
+        ti, speed, _ = intensity_reference(file, START, 600.0)
         assert ti[0] == pytest.approx(0.1)
         assert np.isnan(ti[1:]).all()
         assert speed[:2].tolist() == [10.0, 10.0]
@@ -185,11 +185,31 @@ class TestMatching:
             (table().assign(time=START[0]), r"has 5 rows of 2020-09-03T19:00.*: keep one of a time"),
             (table().assign(time=START + np.timedelta64(300, "s")), r"No row of the reference .* begins with a record"),
             (table().iloc[:0], r"has 0 rows"),
+            (
+                table(ti=-9999.0),
+                r"None of the 5 rows of the .* has a turbulence intensity above 0 and up to 1.*ti -9999",
+            ),
+            (table(ti=0.0), "None of the 5 rows"),
+            (table(ti=np.nan), "None of the 5 rows"),
+            (table(sigma_u=1.0, U=0.0).drop(columns="ti"), "None of the 5 rows .*the first has sigma_u 1.0, U 0.0"),
+            (table(sigma_u=1.0, U=-9.0).drop(columns="ti"), "None of the 5 rows"),
+            (table(U=-9999.0), r"None of the 5 rows .* up to 90 m/s"),
         ],
     )
     def test_what_cannot_be_matched_is_refused(self, given, words):
         with pytest.raises(InputError, match=words):
             intensity_reference(given, START, 600.0)
+
+    @pytest.mark.parametrize("ti", [-9999.0, -0.1, 0.0, 12.0])
+    def test_numbers_that_are_none_are_left_out_and_counted(self, ti):
+        found, _, left_out = intensity_reference(table(ti=[0.12, ti, 0.11, np.nan, 0.1]), START, 600.0)
+        np.testing.assert_array_equal(found, [0.12, np.nan, 0.11, np.nan, 0.1])
+        assert left_out.tolist() == [False, True, False, False, False]  # an empty entry says itself that there is none
+
+    def test_wind_speeds_that_are_none_are_left_out_and_counted(self):
+        found, speed, left_out = intensity_reference(table(U=[8.0, -9999.0, 9999.0, np.nan, 0.0]), START, 600.0)
+        assert np.isfinite(found).tolist() == np.isfinite(speed).tolist() == [True, False, False, False, False]
+        assert left_out.tolist() == [False, True, True, True, True]
 
     def test_a_file_that_is_none(self, tmp_path):
         with pytest.raises(InputError, match=r"The reference '.*none.csv' cannot be read as CSV"):

@@ -8,6 +8,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from scenes import draw_variances, plain_noise, records_of
 
+import bayes_rs as brs
 from bayes_rs import STRESSES, InputError, fit, load_scan
 from bayes_rs.intervals import INTERVALS, interval_of
 from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
@@ -105,6 +106,37 @@ class TestFindingRecords:
 
     def test_a_time_in_utc_by_its_letter(self, result):
         assert result.find_record("2020-01-01T00:10Z") == 1
+
+
+class TestWhatIsNoFit:
+    """Records, or the name of a folder, in place of a fit: one line, wherever a fit is taken."""
+
+    @pytest.mark.parametrize(
+        "draw",
+        [
+            brs.plot.corner,
+            brs.plot.stresses,
+            brs.plot.lumley,
+            brs.plot.campaign,
+            brs.plot.profile,
+            brs.budget,
+            lambda fit: prior_at_size(fit, 0),
+            lambda fit: corner_limits([fit], [0]),
+            lambda fit: brs.export_boxes(fit, 0, "none", seed=1),
+        ],
+    )
+    @pytest.mark.parametrize("given", ["records", "none"])
+    def test_it_is_refused(self, draw, given, result):
+        with pytest.raises(InputError, match=r"Invalid fit, (Dataset of xarray|'none'): give what"):
+            draw(result.records if given == "records" else given)
+
+    def test_a_folder_that_is_no_name_and_a_table_that_is_none(self, result):
+        with pytest.raises(InputError, match="Invalid folder of a fit <Fit"):
+            brs.open_fit(result)
+        with pytest.raises(InputError, match="Invalid fit, Dataset of xarray"):
+            brs.write_report(result.records)
+        with pytest.raises(InputError, match="Not a table of scans"):
+            brs.plot.comparison(result)
 
 
 class TestCorner:

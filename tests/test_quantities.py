@@ -211,6 +211,18 @@ EXTREMES = [
     (brs.load_scan, {"name": "6-beam", "yaw_deg": np.eye(3)}, "Invalid yaw_deg array("),
     (brs.load_scan, {"name": "6-beam", "centre": "3.2"}, "Invalid centre '3.2'"),
     (brs.plan, {"scan": "2-beam", "wind_speed": 1e300}, "Invalid wind_speed 1e+300 m/s"),
+    (
+        brs.plan,
+        {"scan": "2-beam", "wind_speed": 200.0},
+        "Invalid wind_speed 200.0 m/s: it must be from 0.001 to 90 m/s",
+    ),
+    (CompareOptions, {"wind_speed": 200.0}, "Invalid wind_speed 200.0 m/s: it must be from 0.001 to 90 m/s"),
+    (CriterionOptions, {"wind_speed": 200.0}, "Invalid wind_speed 200.0 m/s: it must be from 0.001 to 90 m/s"),
+    (
+        brs.noise.calibrate,
+        {"scan": "2-beam", "wind_speed": 200.0},
+        "Invalid wind_speed 200.0: it must be from 0.001 to 90;",
+    ),
     (brs.noise.theory, {"scan": "2-beam", "wind_speed": "10"}, "Invalid wind_speed '10' m/s"),
     (brs.noise.calibrate, {"scan": "2-beam", "wind_speed": 10.0, "duration": [600.0]}, "Invalid duration [600.0] s"),
     (brs.compare, {"scans": 3}, "Invalid scan 3"),
@@ -224,7 +236,7 @@ EXTREMES = [
     (
         brs.noise.calibrate,
         {"scan": "2-beam", "wind_speed": [10.0, 1e300]},
-        "Invalid wind_speed: the entry at (1,) is 1e+300, and every entry must be from 0.001 to 200; 3 to 25 are usual",
+        "Invalid wind_speed: the entry at (1,) is 1e+300, and every entry must be from 0.001 to 90; 3 to 25 are usual",
     ),
     (brs.geometry.radial_variance, {"scan": "6-beam", "stress": np.array([1j])}, "Invalid stress"),
     (brs.geometry.rotate_stress, {"stress": [1, 1, 1, 0, 0, 0], "rotation": 3.0}, "Invalid rotation of shape ()"),

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan_file import load_scan
+from bayes_rs.options import options_of
 from bayes_rs.readers import READERS, FileOptions, read, stream
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.records.making import make_records
@@ -339,6 +340,8 @@ class TestOrder:
             read([one, two], SCAN)
         with pytest.raises(InputError, match=r"differ: -8.5 m/s .*the files seem to be of several instruments"):
             read([one, two], SCAN, out_of_order="sort")
+        (entry,) = (entry for entry in options_of(FileOptions) if entry.name == "out_of_order")
+        assert "Two velocities of one beam at one time are refused either way" in entry.about.help
 
 
 class TestBadInput:

@@ -726,6 +726,22 @@ class TestReference:
         assert "leaves nacelle lidars out" in html
         assert "repr. error" in html
 
+    def test_rows_that_are_left_out_are_counted(self, full):
+        data, reference = self.shown(full, np.array([0.1, -9999.0, 12.0, 0.11, 0.12, 0.13]))
+        html = reference_section(data, reference)
+        assert "2 records are left out, since the row of the reference has a turbulence intensity" in html
+        assert "left out" not in reference_section(*self.shown(full, np.linspace(0.09, 0.16, 6)))
+
+    def test_a_reference_of_no_fitted_record_is_refused(self, full):
+        data = report_data(open_fit(full))
+        median = np.where(np.arange(6) == 0, np.nan, data.derived["ti"]["median"])
+        data = dataclasses.replace(data, derived={"ti": {**data.derived["ti"], "median": median}})
+        one = pd.DataFrame({"time": open_fit(full).time[:1], "ti": 0.1})
+        with pytest.raises(
+            InputError, match=r"of 1 records, and the fit has none of these: 5 of 6 records were fitted"
+        ):
+            make_reference(data, one)
+
     def test_a_sonic_is_a_reference(self, full, tmp_path):
         fit = open_fit(full)
         step = np.timedelta64(2, "s")

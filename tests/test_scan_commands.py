@@ -1,8 +1,10 @@
 """Commands about scans: one that is shown, one that is found in files, and the scan auto."""
 
 import json
+import re
 import shlex
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -10,11 +12,13 @@ from ray_files import RayTable, mixed_hour, rays_of, six_beam, windcube_sweep, w
 
 import bayes_rs as brs
 from bayes_rs.cli.group import commands
+from bayes_rs.cli.options import PictureFile
 from bayes_rs.errors import InputError
 from bayes_rs.fits.found_scan import with_found_scan
 from bayes_rs.fits.settings import Settings
 from bayes_rs.geometry.scan_words import beam_table, scan_lines
 from bayes_rs.models import preset_names
+from bayes_rs.pictures import picture_suffixes
 
 SIX = six_beam(100.0)
 
@@ -34,6 +38,41 @@ def file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def hour(tmp_path_factory):
     return mixed_hour(tmp_path_factory.mktemp("mixed") / "hour", n_gate=6, bursts=1)
+
+
+class TestPictureNames:
+    """What a picture's name ends in is checked before a file is read."""
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ("scans", "6-beam", "-o"),
+            ("look", "none.csv", "-o"),
+            ("corner", "none", "-o"),
+            ("sensitivity", "none.csv", "--budget"),
+        ],
+    )
+    @pytest.mark.parametrize("name", ["p.xlsx", "p", "p.pgf"])
+    def test_an_ending_that_is_none_is_refused(self, words, name, tmp_path):
+        done = run(*words, tmp_path / name)
+        assert done.exit_code == 2
+        assert f"{name}' is no name of a " in " ".join(done.stderr.split())
+        assert ".png" in done.stderr
+        assert not list(tmp_path.iterdir())
+
+    def test_every_option_that_names_a_picture_checks_it(self):
+        context = click.Context(commands)
+        every = [commands.get_command(context, name) for name in commands.list_commands(context)]
+        options = [one for command in every for one in command.params if isinstance(one, click.Option)]
+        written = [one for one in options if re.search(r"[Pp]icture .*to write|Picture to write", one.help or "")]
+        assert len(written) == 4
+        assert all(isinstance(one.type, PictureFile) for one in written)
+
+    @pytest.mark.parametrize("suffix", picture_suffixes())
+    def test_every_ending_that_is_offered_can_be_written(self, suffix, tmp_path):
+        done = run("scans", "2-beam", "-o", tmp_path / f"p{suffix.upper()}")
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / f"p{suffix.upper()}").stat().st_size > 1000
 
 
 class TestScans:

@@ -11,6 +11,7 @@ import click
 
 from bayes_rs.cli.options import (
     GroupedCommand,
+    PictureFile,
     Quantity,
     refuse_beside_noise,
     refuse_for_records,
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
     from bayes_rs.fits.fit_object import Fit
     from bayes_rs.geometry.scan import Scan
-
-_PICTURES = (".png", ".pdf", ".svg")
-"""How the names of pictures end."""
 
 
 @click.command(cls=GroupedCommand)
@@ -179,7 +177,7 @@ def _tell(found: Fit, output: str) -> None:
 @click.option(
     "--budget",
     "budgets",
-    type=click.Path(path_type=Path),
+    type=PictureFile(or_table=True),
     multiple=True,
     help="Tell, too, what of each stress's uncertainty comes from sampling, from what is uncertain beside R (--yaw-sd "
     "and others), and from the prior: a CSV file or a picture (.png, .pdf, .svg) to write; may be given twice.",
@@ -241,13 +239,19 @@ def sensitivity(
             tell(line, wrap=False)
     for file in (output, *budgets):
         if file is not None:
-            tell(f"{'table' if file.suffix not in _PICTURES else 'picture'} in {file}", wrap=False)
+            tell(f"{'picture' if file != output and _is_picture(file) else 'table'} in {file}", wrap=False)
     rows = json.loads(table.to_json(orient="records"))
     found = {"file": None if output is None else str(output), "unit": "m2 s-2", "prob": own.prob, "rows": rows}
     if uncertainty is not None:
         found["budget"] = json.loads(uncertainty.to_json(orient="records"))
     answer(found)
     exit_if_doubtful(made)
+
+
+def _is_picture(file: Path) -> bool:
+    from bayes_rs.pictures import picture_suffixes
+
+    return file.suffix.lower() in picture_suffixes()
 
 
 def _budget(made: xr.Dataset, scan: Scan, asked: dict[str, Any], parts: list[Path]) -> pd.DataFrame:
@@ -257,7 +261,7 @@ def _budget(made: xr.Dataset, scan: Scan, asked: dict[str, Any], parts: list[Pat
 
     table = budget_of_records(made, scan, **asked)
     for part in parts:
-        if part.suffix in _PICTURES:
+        if _is_picture(part):
             from bayes_rs.plot.budget_plot import budget
 
             cast("Figure", budget(table)).savefig(part, dpi=130)
@@ -272,9 +276,7 @@ def _budget(made: xr.Dataset, scan: Scan, asked: dict[str, Any], parts: list[Pat
     "--record", default="0", show_default=True, help="Number of the record, or its start as 2020-09-04T12:00 (UTC)."
 )
 @range_options
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Picture to write; by default corner-RECORD.png in FOLDER."
-)
+@click.option("-o", "--output", type=PictureFile(), help="Picture to write; by default corner-RECORD.png in FOLDER.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 def corner(
     folder: Path, record: str, distance: float | None, height: float | None, output: Path | None, overwrite: bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
@@ -35,6 +36,8 @@ _MOST_NAMED = 12
 """Values that the help of an open option names."""
 _LONGEST_CHOICE = 30
 """Characters up to which choices stand behind the option itself, and not in its help."""
+_TABLES = (".csv", ".txt")
+"""How the names of tables end, where a picture may stand in place of one."""
 SWITCH = ("auto", "on", "off")
 """Choices that the command line has as --NAME and --no-NAME."""
 _MADE_OF_SERIES = ("files", "records", "quality")
@@ -167,6 +170,26 @@ class OpenChoice(click.ParamType):  # type: ignore[type-arg] # as above
         """Complete the entries of the list, and files."""
         words = [CompletionItem(word) for word in self.choices() if word.startswith(incomplete)]
         return words or [CompletionItem(incomplete, type="file")]
+
+
+class PictureFile(click.Path):
+    """A file that a picture is written to: what its name ends in is checked before anything is computed."""
+
+    def __init__(self, *, or_table: bool = False) -> None:
+        """Say whether it may be a table as well: a name that ends in .csv, .txt or the like."""
+        super().__init__(path_type=Path)
+        self.others = _TABLES if or_table else ()
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        from bayes_rs.pictures import picture_suffixes  # matplotlib is slow to import
+
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        allowed = (*self.others, *picture_suffixes())
+        if path.suffix.lower() not in allowed:
+            kind = "table or picture" if self.others else "picture"
+            self.fail(f"{str(path)!r} is no name of a {kind}: end it in one of {', '.join(allowed)}.", param, ctx)
+        return path
 
 
 class Range(click.ParamType):  # type: ignore[type-arg] # as above

@@ -11,7 +11,7 @@ import click
 
 from bayes_rs.cli.completion import ScanName
 from bayes_rs.cli.next_command import command_line, files_words, reading_words
-from bayes_rs.cli.options import GroupedCommand, Quantity, settings_options
+from bayes_rs.cli.options import GroupedCommand, PictureFile, Quantity, settings_options
 from bayes_rs.cli.voice import answer, note, tell, terminal_width
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _SHARED = 0.8
 """Share of its own cycle's samples below which a scan shares the lidar's time: the default of ``min_availability``."""
-_output = click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture to write (PNG, PDF or SVG).")
+_output = click.option("-o", "--output", type=PictureFile(), help="Picture to write (PNG, PDF or SVG).")
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 
 

@@ -77,7 +77,7 @@ def comparison(
     """
     for name in as_items(stresses, what="stresses"):
         check_choice(name, STRESSES, what="stress")
-    if not set(COLUMNS) <= set(table.columns) or table.empty:
+    if not set(COLUMNS) <= set(getattr(table, "columns", ())) or table.empty:
         raise InputError("Not a table of scans: make one with bayes_rs.compare.")
     posterior = table[table["estimator"] == "posterior"].reset_index(drop=True)
     axes = grid_axes(posterior)

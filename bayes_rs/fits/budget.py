@@ -20,7 +20,7 @@ from bayes_rs.fits.budget_sources import possible_sources, sources_of
 from bayes_rs.fits.budget_table import budget_table, first_order, variances
 from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.derived import check_derived
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.fit_options import FitOptions, NoiseOptions, split_options
 from bayes_rs.fits.noise_choice import noise_and_records, with_median_length_scale
 from bayes_rs.fits.parts import batch_size
@@ -138,6 +138,7 @@ def budget(
     >>> bool(share.loc["prior", "vv"] > 0.5), bool(share.loc["prior", "uu"] < 0.1)
     (True, True)
     """
+    check_fit(fit)
     if isinstance(fit, RangedFit):
         raise InputError(f"A budget is of a fit at one range: give one of the {len(fit.ranges)} (fit.at).")
     noise, own, choice = fit.loaded.inputs()

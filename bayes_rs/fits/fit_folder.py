@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from bayes_rs._validation import FloatArray
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits import campaign_files
 from bayes_rs.fits.columns import N_PRIOR_DRAW
 from bayes_rs.fits.fit_object import Fit
@@ -66,6 +66,8 @@ def open_fit(folder: str | Path) -> Fit:
     ...     open_fit(f"{place}/two").summary().equals(found.summary())
     True
     """
+    if not isinstance(folder, (str, Path)):
+        raise InputError(f"Invalid folder of a fit {in_short(folder)}: give its name.")
     folder = _folder_of(Path(folder))
     opened = open_result_folder(folder)
     if not opened.finished:

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_rs._validation import as_items, check_choice, check_prob, check_switch
-from bayes_rs.errors import InputError
+from bayes_rs.errors import InputError, in_short
 from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_campaign_words
 from bayes_rs.fits.coherence import Coherence, coherence_of
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE, VARIANCES
@@ -466,6 +466,20 @@ class Fit(FitData):
         asked = self.settings["fit"].get("monte_carlo_error")
         reached = [] if asked is None else error_lines(asked, self.of_records("mc_error")["mc_error"])
         return [*flag_lines(self.flag, self.time), *self.run.get("beams", {}).get("words", []), *reached]
+
+
+def check_fit(fit: Fit) -> Fit:
+    """Return what is a fit.
+
+    Raises
+    ------
+    InputError
+        If it is something else, such as records or the name of a folder.
+    """
+    if not isinstance(fit, Fit):
+        given = f"{type(fit).__name__} of xarray" if isinstance(fit, (xr.Dataset, xr.DataTree)) else in_short(fit)
+        raise InputError(f"Invalid fit, {given}: give what bayes_rs.fit returns, or bayes_rs.open_fit of its folder.")
+    return fit
 
 
 def exported_summary(fit: Fit) -> pd.DataFrame:

@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError, in_short
+from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.readers.toa5 import is_toa5, read_sonic
 from bayes_rs.reference_table import check_stated, matched_rows, reference_numbers, reference_table, reference_times
 from bayes_rs.wind.sonic import sonic_stresses
 
 _LARGEST = 1.0
-"""Median above which a turbulence intensity is taken for one in per cent."""
+"""Turbulence intensity above which none is believed; a median above it is taken for one in per cent."""
 _NAMES = {"time": "time", "timestamp": "time", "ti": "ti", "sigma_u": "sigma_u", "u": "U", "wind_speed": "U"}
 
 
 def intensity_reference(
     source: str | Path | pd.DataFrame | xr.Dataset, time: NDArray[np.datetime64], duration: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return a reference's turbulence intensity and wind speed at each record.
 
     Parameters
@@ -43,12 +44,16 @@ def intensity_reference(
     ti, wind_speed : ndarray, shape (n_record,)
         NaN where the reference has no row within a twentieth of a record's length, or no valid number; wind speed in
         m/s.
+    left_out : ndarray of bool, shape (n_record,)
+        Where a row is not used for what it states: a turbulence intensity that is not above 0, or is above 1, or a wind
+        speed that is not above 0, is above 90 m/s, or is empty while other rows have one.
 
     Raises
     ------
     InputError
         If the file cannot be read, columns are missing, times or numbers are none, two rows are of one time, the
-        intensity is in per cent, no row is of any record, or a sonic's stresses are of periods of another length.
+        intensity is in per cent, no row is of any record, no such row has valid numbers, or a sonic's stresses are of
+        periods of another length.
     """
     table, where = _table(source, duration)
     columns = {_NAMES[str(name).strip().lower()]: name for name in table.columns if str(name).strip().lower() in _NAMES}
@@ -60,14 +65,27 @@ def intensity_reference(
     speed = numbers.get("U", np.full(len(table), np.nan))
     with np.errstate(invalid="ignore", divide="ignore"):
         ti = numbers["ti"] if "ti" in numbers else numbers["sigma_u"] / np.where(speed > 0.0, speed, np.nan)
-    ti = np.where(np.isfinite(ti) & (ti > 0.0), ti, np.nan)
-    if np.isfinite(ti).any() and np.nanmedian(ti) > _LARGEST:
+    above = ti[np.isfinite(ti) & (ti > 0.0)]
+    if len(above) and np.median(above) > _LARGEST:
         raise InputError(
-            f"The turbulence intensity of the {where} has the median {np.nanmedian(ti):g}: give σ_u/U, not per cent."
+            f"The turbulence intensity of the {where} has the median {np.median(above):g}: give σ_u/U, not per cent."
         )
     row = matched_rows(start, time, duration, where)
     there = row >= 0
-    return np.where(there, ti[row], np.nan), np.where(there, speed[row], np.nan)
+    ti, speed, stated = ti[row], speed[row], np.isfinite(numbers["ti" if "ti" in numbers else "sigma_u"][row])
+    valid = there & (ti > 0.0) & (ti <= _LARGEST)
+    windy = (speed > 0.0) & (speed <= VELOCITY_LIMIT)
+    if np.isfinite(speed[there]).any():
+        valid &= windy
+    if not valid.any():
+        first = table[[name for key, name in columns.items() if key != "time"]].iloc[row[there][0]]
+        raise InputError(
+            f"None of the {int(there.sum())} rows of the {where} that begin with a record has a turbulence intensity "
+            f"above 0 and up to {_LARGEST:g}, and a wind speed above 0 and up to {VELOCITY_LIMIT:g} m/s if rows have "
+            f"any; the first has {', '.join(f'{name} {value}' for name, value in first.items())}: correct the columns, "
+            "or leave the reference out."
+        )
+    return np.where(valid, ti, np.nan), np.where(there & windy, speed, np.nan), there & stated & ~valid
 
 
 def _table(source: str | Path | pd.DataFrame | xr.Dataset, duration: float) -> tuple[pd.DataFrame, str]:

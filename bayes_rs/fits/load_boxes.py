@@ -10,7 +10,7 @@ import pandas as pd
 
 from bayes_rs._validation import FloatArray, as_generator, check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.output import output_folder, write_csv
 from bayes_rs.progress import progress as progress_bar
@@ -112,7 +112,7 @@ def export_boxes(
     >>> boxes["file"].tolist(), boxes["length_scale"].tolist()
     (['box-000.bts', 'box-001.bts'], [61.0, 61.0])
     """
-    index = fit.find_record(record)
+    index = check_fit(fit).find_record(record)
     draws = fit.draws(index).reshape(-1, len(STRESSES))
     count = check_count(n_box, what="n_box")
     if count > len(draws):
@@ -180,7 +180,7 @@ def record_grid(
     InputError
         If there is no such record, it was not fitted, or a number is not valid.
     """
-    index = fit.find_record(record)
+    index = check_fit(fit).find_record(record)
     if length is None:
         length = float(fit.records["wind_speed"].values[index]) * float(fit.records.attrs.get("duration", 600.0))
     along, across, upward = (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.campaign_words import ALL, share_words
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.pictures import OTHER_COLOUR, POSTERIOR_COLOUR, PRIOR_COLOUR, PRIOR_MARK, Picture, new_or_given
@@ -54,9 +54,9 @@ def campaign(fit: Fit, *, figure: _Given | None = None) -> _Given | Picture:
     Raises
     ------
     InputError
-        If the fit has no campaign; the message says why.
+        If it is no fit, or has no campaign; the message says why.
     """
-    table, hyper = fit.campaign(), fit.campaign_hyper()
+    table, hyper = check_fit(fit).campaign(), fit.campaign_hyper()
     height = max(7.0, 1.6 + _ROW_HEIGHT * len(hyper))
     target = new_or_given(figure, (12.0, height))
     grid = target.add_gridspec(2, 2, width_ratios=(1.25, 1.0))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from bayes_rs._validation import FloatArray, as_items, check_array, check_choice, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import share_words
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import INTERVALS, interval_of, interval_words
 from bayes_rs.pictures import (
@@ -85,9 +85,10 @@ def corner(
     Raises
     ------
     InputError
-        If the record does not exist or was not fitted, a stress is not known, or an array has the wrong shape.
+        If it is no fit, the record does not exist or was not fitted, a stress is not known, or an array has the wrong
+        shape.
     """
-    index = fit.find_record(record)
+    index = check_fit(fit).find_record(record)
     own = fit.settings["fit"]
     prob = float(own["prob"]) if prob is None else check_prob(prob)
     kind = str(own["interval"]) if interval is None else check_choice(interval, tuple(INTERVALS), what="interval")
@@ -149,7 +150,7 @@ def corner(
 
 def prior_at_size(fit: Fit, record: int | str) -> FloatArray:
     """Return draws of the prior's shape R/(uu + vv + ww) times the trace of a record's posterior, shape (n, 6)."""
-    return _draws(fit, fit.find_record(record))[1]
+    return _draws(fit, check_fit(fit).find_record(record))[1]
 
 
 def _draws(fit: Fit, index: int) -> tuple[FloatArray, FloatArray]:
@@ -170,7 +171,8 @@ def default_limits(samples: Sequence[FloatArray]) -> FloatArray:
 
 def corner_limits(fits: Sequence[Fit], records: Sequence[int | str]) -> FloatArray:
     """Return axis limits, shape (6, 2), that suit corner plots of records of several fits."""
-    samples = [part for fit, record in zip(fits, records, strict=True) for part in _draws(fit, fit.find_record(record))]
+    pairs = zip(fits, records, strict=True)
+    samples = [part for fit, record in pairs for part in _draws(fit, check_fit(fit).find_record(record))]
     return default_limits(samples)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.shape_points import ShapePoints, shape_is_priors, shape_points
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
@@ -51,7 +51,7 @@ def lumley(
     Raises
     ------
     InputError
-        If the record does not exist or was not fitted, or the truth has the wrong shape or is not finite.
+        If it is no fit, the record does not exist or was not fitted, or the truth has the wrong shape or is not finite.
 
     Notes
     -----
@@ -59,6 +59,7 @@ def lumley(
     ξ = 0 two principal variances are larger than the third, right of it one is; on the upper border one is zero. A
     record's point is that of `shape_points`: the medians of ``lumley_xi`` and ``lumley_eta`` in its summary.
     """
+    check_fit(fit)
     marks = None if truth is None else known_stresses(truth, fit.n_record)
     index = None if record is None else fit.find_record(record)
     axis, given = axes_of(ax, (6.8, 6.0))

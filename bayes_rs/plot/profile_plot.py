@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
@@ -48,8 +48,9 @@ def profile(fit: Fit, record: int | str | None = None, *, figure: _Given | None 
     Raises
     ------
     InputError
-        If the fit is of one range, or there is no such record.
+        If it is no fit, or one of one range, or there is no such record.
     """
+    check_fit(fit)
     if not isinstance(fit, RangedFit):
         raise InputError("This fit is of one range, and has no profile: fit records at several ranges (--range all).")
     table = fit.profile(record)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray, check_choice, check_prob
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import share_words
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import INTERVALS, interval_of_ordered, interval_words, quantile_of_ordered
 from bayes_rs.pictures import (
@@ -76,10 +76,10 @@ def stresses(
     Raises
     ------
     InputError
-        If `prob` is not between 0 and 1, `prob` or `interval` is another one than that of a fit without draws, or the
-        truth has the wrong shape or is not finite.
+        If it is no fit, `prob` is not between 0 and 1, `prob` or `interval` is another one than that of a fit without
+        draws, or the truth has the wrong shape or is not finite.
     """
-    own = fit.settings["fit"]
+    own = check_fit(fit).settings["fit"]
     prob = float(own["prob"]) if prob is None else check_prob(prob)
     kind = str(own["interval"]) if interval is None else check_choice(interval, tuple(INTERVALS), what="interval")
     marks = None if truth is None else known_stresses(truth, fit.n_record)

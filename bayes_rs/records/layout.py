@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, Json, model_validator
 
 from bayes_rs.errors import InputError
+from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.geometry.stress import STRESSES, first_impossible
 from bayes_rs.layouts import Count, Entry, Finite, Open, Positive, check_dataset
@@ -233,7 +234,7 @@ class RecordsAttributes(Open):
     scan: str = ""
     scan_key: str = ""
     duration: Positive = 600.0
-    velocity_limit: Positive = 90.0
+    velocity_limit: Positive = VELOCITY_LIMIT
     source_files: Json[list[str]] = Field(default_factory=list)
     beams_absent: Json[list[int]] = Field(default_factory=list)
     read_report: Json[ReadReport] | None = None

@@ -48,11 +48,14 @@ class Reference:
         What it is called.
     ti, wind_speed : ndarray, shape (n_record,)
         NaN where it has none; wind speed, m/s, is that of the lidar where the reference has none at all.
+    n_left_out : int
+        Records whose row has numbers that are not believed.
     """
 
     name: str
     ti: FloatArray
     wind_speed: FloatArray
+    n_left_out: int
 
 
 def make_reference(found: ReportData, source: str | Path | pd.DataFrame | xr.Dataset) -> Reference:
@@ -61,14 +64,22 @@ def make_reference(found: ReportData, source: str | Path | pd.DataFrame | xr.Dat
     Raises
     ------
     InputError
-        If it cannot be read or matched, or the fit knows no turbulence intensity.
+        If it cannot be read or matched, the fit knows no turbulence intensity, or it has none of a record that the
+        reference has one of.
     """
     if "ti" not in found.derived:
         raise InputError("The records have no wind speeds, and so no turbulence intensity to lay beside a reference.")
     duration = float(found.records.attrs.get("duration", 600.0))
-    ti, speed = intensity_reference(source, found.time, duration)
+    ti, speed, left_out = intensity_reference(source, found.time, duration)
     name = Path(source).name if isinstance(source, (str, Path)) else "reference"
-    return Reference(name, ti, speed if np.isfinite(speed).any() else found.wind_speed)
+    speed = speed if np.isfinite(speed).any() else found.wind_speed
+    reference = Reference(name, ti, speed, int(left_out.sum()))
+    if reference_errors(found, reference).empty:
+        raise InputError(
+            f"The reference has turbulence intensity of {int(np.isfinite(ti).sum())} records, and the fit has none of "
+            f"these: {int(found.fitted.sum())} of {len(ti)} records were fitted. Give a reference of fitted records."
+        )
+    return reference
 
 
 def reference_errors(found: ReportData, reference: Reference) -> pd.DataFrame:
@@ -120,7 +131,7 @@ def reference_section(found: ReportData, reference: Reference) -> str:
         f"(RRMSE) {_percent(rrmse)}, {below} {100 * RRMSE_LIMIT:g} %. The {called}, holds the reference in "
         f"{100.0 * whole['coverage']:.0f} % of the records."
     )
-    verdict = [numbers, *_representative_words(rows), _SCOPE]
+    verdict = [numbers, *_left_out_words(reference.n_left_out), *_representative_words(rows), _SCOPE]
     if mast_there(found.records)[found.fitted].any():
         verdict.insert(0, _AMONG_DATA)
     if 2 * of_priors.sum() > len(of_priors):
@@ -160,6 +171,15 @@ def reference_section(found: ReportData, reference: Reference) -> str:
         + "".join(f"<p>{escape(text)}</p>" for text in verdict)
         + figure("acceptance", caption, folded("Table: errors by wind speed", table(_CAPTION, header, cells)))
     )
+
+
+def _left_out_words(n_left_out: int) -> list[str]:
+    """Say how many records were left out for what their row of the reference holds; nothing if none was."""
+    if not n_left_out:
+        return []
+    many = "1 record is" if n_left_out == 1 else f"{n_left_out} records are"
+    rule = "a turbulence intensity that is not above 0, or is above 1, or a wind speed that is none"
+    return [f"{many} left out, since the row of the reference has {rule}."]
 
 
 def _representative_words(rows: pd.DataFrame) -> list[str]:

@@ -14,7 +14,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.coherence import coherence_of
 from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.fit_folder import open_fit
-from bayes_rs.fits.fit_object import Fit
+from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.output import output_file
 from bayes_rs.report.beside import Beside, match_fits
@@ -98,7 +98,7 @@ def write_report(
     ...     file.name, "Over time" in file.read_text(encoding="utf-8")
     ('report.html', True)
     """
-    found = fit if isinstance(fit, Fit) else open_fit(fit)
+    found = open_fit(fit) if isinstance(fit, (str, Path)) else check_fit(fit)
     if output is None and not found.place:
         raise InputError("A fit in memory has no folder for its report: name a file to write.")
     file = Path(found.place) / REPORT_FILE if output is None else Path(output)
@@ -152,7 +152,7 @@ def _alone(fit: Fit, data: ReportData, prob: float | None) -> Beside | None:
 
 def _match(fit: Fit, data: ReportData, beside: Fit | str | Path, prob: float | None) -> Beside:
     """Return the other fit beside this one."""
-    other = beside if isinstance(beside, Fit) else open_fit(beside)
+    other = open_fit(beside) if isinstance(beside, (str, Path)) else check_fit(beside)
     if isinstance(other, RangedFit):
         raise InputError(f"The fit beside is at {len(other.ranges)} ranges: give that at one of them.")
     places = [Path(one.place).resolve() if one.place else None for one in (fit, other)]
