@@ -215,7 +215,7 @@ class TestCalibrate:
         ("change", "message"),
         [
             ({"method": "magic"}, "Unknown method of calibration 'magic': it must be one of theory, boxes"),
-            ({"wind_speed": -1.0}, "Invalid wind_speed -1.0: it must be from 0.001 to 200"),
+            ({"wind_speed": -1.0}, "Invalid wind_speed -1.0: it must be from 0.001 to 90"),
             ({"wind_speed": []}, "Invalid wind_speed .*give a number or a sequence of numbers"),
             ({"wind_speed": None}, r"Neither records nor wind_speed is given: give records, .* or wind_speed \(m/s\)"),
             ({"records": xr.Dataset()}, "Both records and wind_speed are given"),

@@ -69,12 +69,6 @@ class TestWhatIsRead:
             assert "is one of the files that are read" in str(done.exception)
             assert Path(words[-1]).read_bytes() == before
 
-    def test_nor_is_what_is_looked_at(self, file, tmp_path):
-        (tmp_path / "data.csv").write_bytes(file.read_bytes())
-        done = run("look", tmp_path / "data.csv", "-o", tmp_path / "data.csv", "--overwrite")
-        assert "is one of the files that are read" in str(done.exception)
-        assert (tmp_path / "data.csv").read_bytes() == file.read_bytes()
-
 
 class TestWind:
     def test_table_is_that_of_the_functions(self, file, scan, tmp_path):

@@ -177,7 +177,7 @@ class TestBank:
     def make_bank(self):
         """Four states in the corners of a net and one more, so that they form none."""
         scan = load_scan("4-beam")
-        states = [(4.0, -0.5), (4.0, 0.5), (9.0, -0.5), (9.0, 0.5), (100.0, 0.2)]
+        states = [(4.0, -0.5), (4.0, 0.5), (9.0, -0.5), (9.0, 0.5), (80.0, 0.2)]
         return Noise.join(tuple(make_noise(scan, wind_speed=u, yaw=y) for u, y in states))
 
     @pytest.mark.parametrize(

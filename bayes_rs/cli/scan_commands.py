@@ -239,7 +239,7 @@ def look(files: tuple[str, ...], output: Path | None, overwrite: bool, **options
         found = look_at(named, **{name: value for name, value in given.items() if name != "on_bad_file"})
     words = dict(zip(named, files, strict=True))  # what to type next has the names that were given
     if output is not None:
-        with output_file(output, overwrite=overwrite, inputs=files) as part:
+        with output_file(output, overwrite=overwrite) as part:
             from bayes_rs.plot.look_plot import draw_look
 
             draw_look(found).savefig(part, dpi=130)
