@@ -710,6 +710,14 @@ class TestReference:
         data = report_data(open_fit(full))
         return data, make_reference(data, pd.DataFrame({"time": open_fit(full).time, "ti": ti}))
 
+    def test_the_page_is_not_written_over_the_reference(self, full, tmp_path):
+        file = tmp_path / "mast.csv"
+        pd.DataFrame({"time": open_fit(full).time, "ti": 0.12}).to_csv(file, index=False)
+        before = file.read_bytes()
+        with pytest.raises(InputError, match="is one of the files that are read"):
+            write_report(full, file, reference=file, overwrite=True)
+        assert file.read_bytes() == before
+
     def test_the_representative_intensity_is_told_and_drawn(self, full):
         data, reference = self.shown(full, np.linspace(0.09, 0.16, 6))
         rows = reference_errors(data, reference)
