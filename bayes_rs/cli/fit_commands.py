@@ -53,7 +53,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
 
     from bayes_rs.fits.from_files import fit_files
     from bayes_rs.output import check_output_folder
-    from bayes_rs.records.record_files import open_record_files
+    from bayes_rs.records.record_files import open_record_files, single_files
 
     output = settings.output.output
     if output is None:
@@ -63,7 +63,8 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
         check_output_folder(output, overwrite=settings.output.overwrite, inputs=settings.input_files())
     named = settings.scan.scan != AUTO or settings.scan.scan_toml is not None
     # the first tells what they are: a fleet has a hundred
-    if settings.files.files and named and open_record_files(settings.files.files[:1], settings.scan.load()) is not None:
+    first = single_files(settings.files.files)[:1]
+    if first and named and open_record_files(first, settings.scan.load()) is not None:
         refuse_for_records(settings.files.files)
     if save_settings is not None:
         _check_beside(Path(save_settings), Path(output))

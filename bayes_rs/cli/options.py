@@ -176,7 +176,7 @@ class PictureFile(click.Path):
     """A file that a picture is written to: what its name ends in is checked before anything is computed."""
 
     def __init__(self, *, or_table: bool = False) -> None:
-        """Say whether it may be a table as well: a name that ends in .csv, .txt or the like."""
+        """Say whether it may be a table as well: a name that ends in .csv or .txt."""
         super().__init__(path_type=Path)
         self.others = _TABLES if or_table else ()
 

@@ -94,7 +94,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
         If the records were made with another scan, or those of several files do not go together.
     """
     found: list[xr.Dataset] = []
-    paths = _single_files(paths)
+    paths = single_files(paths)
     for path in paths:
         records = open_records(path, scan)
         if records is None:
@@ -143,7 +143,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
     return joined
 
 
-def _single_files(paths: Sequence[str | Path]) -> list[Path]:
+def single_files(paths: Sequence[str | Path]) -> list[Path]:
     """Return the files that are named, those of folders and patterns too; what is not there is named as it is."""
     if all(Path(path).is_file() for path in paths):
         return [Path(path) for path in paths]
