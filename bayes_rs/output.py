@@ -23,6 +23,7 @@ from bayes_rs.folder_place import (
     replaced_of,
     take_place,
 )
+from bayes_rs.interrupts import check_goes_on
 from bayes_rs.result_folder import RUN_FILE, run_bytes, seal_folder
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ def _fresh_folder(final: Path, *, overwrite: bool) -> Iterator[Path]:
         raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
     try:
         yield part
+        check_goes_on()
         if not overwrite:
             check_free(final, overwrite=False)  # another run may have ended meanwhile
         try:
@@ -134,6 +136,7 @@ def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[s
     with folder as name:
         part = Path(name) / final.name
         yield part
+        check_goes_on()
         _check_no_file(final, overwrite=overwrite)
         try:
             part.replace(final)

@@ -14,6 +14,8 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from bayes_rs.interrupts import check_goes_on
+
 _Item = TypeVar("_Item")
 _counting: ContextVar[Counter | None] = ContextVar("counting", default=None)
 hushed: ContextVar[bool] = ContextVar("hushed", default=False)
@@ -53,6 +55,7 @@ class Counter:
         self._show()
 
     def _show(self) -> None:
+        check_goes_on()
         # what is noted is finished later; a part that is done again, because its worker died, is noted twice
         count = max(self._finished, self._noted)
         self._bar.update(max(min(self._initial + count, self._bar.total) - self._bar.n, 0))
@@ -142,7 +145,9 @@ def progress(
     [1, 2, 3]
     """
     with _bar(total, description, disable, iterable=iterable) as bar:
-        yield from bar
+        for item in bar:
+            check_goes_on()
+            yield item
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_rs.errors import InputError, LostResultsError
 from bayes_rs.folder_place import MARK, cannot_write, link_words, take_place
+from bayes_rs.interrupts import check_goes_on
 from bayes_rs.layouts import read_json
 from bayes_rs.ledger import (
     HALF,
@@ -186,6 +187,7 @@ class ResultFolder:
         listed = False
         try:
             writer(half)
+            check_goes_on()
             found = fingerprint_of_file(half, to_disk=True)
             append_to_ledger(self.path, name, found)
             listed = True

@@ -12,8 +12,9 @@ import sys
 import traceback
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import NoReturn
+
+from bayes_rs.interrupts import EndedError, asked_to_end, check_goes_on, end, take_notice
 
 EXIT_NOT_WHOLE = 1
 EXIT_BAD_INPUT = 2
@@ -22,20 +23,13 @@ EXIT_FAULT = 70
 DEBUG = "BAYES_RS_DEBUG"
 """Environment variable: set to 1, every error shows its traceback before its line."""
 
-_END = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_END = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_NOT_OURS = (signal.SIG_DFL, signal.default_int_handler)
 _BY_SIGNAL = 128
 """What a shell adds to the number of the signal that ended a program."""
 _BROKEN_PIPE = 13
 _LONGEST = 300
 """Characters of an unknown error that are shown."""
-
-
-class _EndedError(KeyboardInterrupt):
-    """The system, or who runs it, told this program to end."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 def main() -> NoReturn:
@@ -44,23 +38,20 @@ def main() -> NoReturn:
     The exit code is 0 for done, 1 for done with failures that are listed, 2 for bad input or what the machine has not
     got, 70 for a fault of the program, and 128 and the number of the signal for an end that was asked for.
     """
+    take_notice()  # of what is past
     try:
         for number in _END:
-            if signal.getsignal(number) is signal.SIG_DFL:  # who asks to live on, as nohup does, is heard
+            if signal.getsignal(number) in _NOT_OURS:  # who asks to live on, as nohup does, is heard
                 with suppress(ValueError):  # a thread may not
-                    signal.signal(number, _end)
+                    signal.signal(number, end)
         code = _run()
+        check_goes_on()
         for stream in (sys.stdout, sys.stderr):  # while an error there can have its words
             if stream is not None:
                 stream.flush()
     except BaseException as error:  # noqa: BLE001 - the last resort
         code = _last_words(error)
     _leave(code)
-
-
-def _end(number: int, _frame: FrameType | None) -> NoReturn:
-    signal.signal(number, signal.SIG_IGN)  # what is finished is written now
-    raise _EndedError(number)
 
 
 def _run() -> int:
@@ -125,12 +116,13 @@ def _words(error: BaseException) -> tuple[str, int]:
 
 
 def _end_words(error: BaseException) -> tuple[str, int] | None:
-    """Return the same of an end that was asked for."""
+    """Return the same of an end that was asked for, whatever a library made of it."""
     import click
 
-    if isinstance(error, _EndedError):
-        return f"ended by {signal.Signals(error.number).name}.", _BY_SIGNAL + error.number
-    if isinstance(error, (KeyboardInterrupt, EOFError, click.Abort)):
+    number = error.number if isinstance(error, EndedError) else asked_to_end()
+    if number not in (None, signal.SIGINT):
+        return f"ended by {signal.Signals(number).name}.", _BY_SIGNAL + number
+    if number is not None or isinstance(error, (KeyboardInterrupt, EOFError, click.Abort)):
         return "interrupted.", _BY_SIGNAL + signal.SIGINT
     if isinstance(error, BrokenPipeError):
         return "who reads the output has gone (broken pipe).", _BY_SIGNAL + _BROKEN_PIPE

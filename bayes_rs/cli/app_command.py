@@ -32,6 +32,7 @@ def app(files: tuple[str, ...], port: int, show: bool, **options: Any) -> None:
 
     from bayes_rs.app.server import serve
     from bayes_rs.errors import InputError
+    from bayes_rs.interrupts import take_notice
 
     if port > 65535:
         raise InputError(f"Invalid port {port}: it is at most 65535.")
@@ -42,6 +43,7 @@ def app(files: tuple[str, ...], port: int, show: bool, **options: Any) -> None:
     try:
         serve(site, port, click.echo, _show if show else lambda address: None)  # noqa: ARG005 - nothing is opened
     except KeyboardInterrupt:  # also when the system ends it: that is how a server is stopped
+        take_notice()
         click.echo("stopped.")
 
 

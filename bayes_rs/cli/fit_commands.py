@@ -72,7 +72,11 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
             raise click.UsageError(f"File {save_settings!r} exists, and --save-settings replaces none: give another.")
         settings.save(save_settings)
     found = fit_files(settings, say=note_detail)
-    draw_pictures(found, Path(output))
+    try:
+        draw_pictures(found, Path(output))
+    except BaseException as error:
+        error.add_note(f"The fit is finished and kept in {output!r}; of its pictures some are missing.")
+        raise
     _tell(found, output)
 
 

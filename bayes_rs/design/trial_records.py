@@ -7,6 +7,7 @@ import scipy
 import xarray as xr
 
 from bayes_rs._validation import FloatArray, as_generator
+from bayes_rs.even_points import even_points
 from bayes_rs.geometry.forward import RANK_TOLERANCE
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
@@ -20,9 +21,7 @@ _SMALLEST = 1e-9  # eigenvalues of Σ below this part of the largest are roundin
 
 def even_normals(count: int, n_dimension: int, seed: int) -> FloatArray:
     """Return standard normal numbers, shape (count, n_dimension), evenly: normal scores of Sobol points."""
-    power = int(np.ceil(np.log2(count)))
-    uniform = scipy.stats.qmc.Sobol(n_dimension, rng=as_generator(seed)).random_base2(power)[:count]
-    return np.asarray(scipy.special.ndtri(np.clip(uniform, 0.5**64, 1.0 - 0.5**53)))
+    return np.asarray(scipy.special.ndtri(even_points(count, n_dimension, as_generator(seed))))
 
 
 def explained_errors(noise: Noise, truth: FloatArray) -> tuple[FloatArray, FloatArray]:

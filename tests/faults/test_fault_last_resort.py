@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from fault_scenes import OF_RECORDS, start, write_scene
 
-from bayes_rs import InputError, LostResultsError, WorkerError, cli
+from bayes_rs import InputError, LostResultsError, WorkerError, cli, open_fit
 from bayes_rs.cli import scan_commands
 from bayes_rs.ledger import fingerprint_of
 
@@ -42,7 +42,7 @@ def ended(monkeypatch, capsys):
         told = re.sub(r" at cli/group\.py:\d+", "", capsys.readouterr().err)  # it came through what runs the commands
         return caught.value.code, told.splitlines()
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield run
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -120,6 +120,78 @@ class TestEnds:
             assert process.returncode == 128 + number
             assert lines[0] == f"bayes-rs: {word}"
             assert "kept in" in lines[1]
+
+    @pytest.mark.parametrize(
+        ("number", "word"), [(signal.SIGTERM, "ended by SIGTERM."), (signal.SIGINT, "interrupted.")]
+    )
+    @pytest.mark.parametrize("place", ["bayes_rs.fits.parts.fit_batch", "bayes_rs.fits.fit_writing.write_netcdf"])
+    @pytest.mark.parametrize("end", ["swallowed", "replaced"])
+    def test_that_a_library_does_not_pass_on(self, tmp_path, number, word, place, end):
+        """It is heard all the same, and nothing that was made after it is kept."""
+        module, name = place.rsplit(".", 1)
+        own = (
+            "import importlib, os, sys\n"
+            "from bayes_rs.cli import main\n"
+            f"module = importlib.import_module({module!r})\n"
+            f"kept = module.{name}\n"
+            "class Gone:\n"
+            "    def __del__(self):\n"
+            f"        os.kill(os.getpid(), {int(number)})\n"
+            "class Named:\n"
+            "    def __set_name__(self, owner, name):\n"
+            f"        os.kill(os.getpid(), {int(number)})\n"
+            "def broken(*arguments, **options):\n"
+            f"    if {end!r} == 'swallowed':\n"
+            "        Gone()\n"
+            f"    if {end!r} == 'replaced':\n"
+            "        type('Holder', (), {'one': Named()})\n"
+            "    return kept(*arguments, **options)\n"
+            f"module.{name} = broken\n"
+            f"sys.argv = ['bayes-rs', 'fit', 'records.nc', *{OF_RECORDS!r}, '-o', 'out']\n"
+            "main()\n"
+        )
+        write_scene(tmp_path)
+        process = start(folder=tmp_path, own=own)
+        _, errors = process.communicate(timeout=120)
+        lines = [line for line in errors.splitlines() if line.startswith("bayes-rs: ")]
+        assert process.returncode == 128 + number
+        assert lines[0] == f"bayes-rs: {word}"
+        assert lines[1].startswith("bayes-rs: 0 of 20 records are finished and kept in ")
+        written = {file.name for file in (tmp_path / "out").rglob("*") if file.is_file()}
+        assert not any(name.endswith(".parquet") for name in written if name.startswith("part"))
+        assert ("records.nc" in written) == (name == "fit_batch")
+
+    def test_while_the_pictures_are_drawn(self, tmp_path):
+        own = (
+            "import os, sys\n"
+            "from bayes_rs.cli import fit_commands, main\n"
+            "fit_commands._figures = lambda _: os.kill(os.getpid(), 2)\n"
+            f"sys.argv = ['bayes-rs', 'fit', 'records.nc', *{OF_RECORDS!r}, '-o', 'out']\n"
+            "main()\n"
+        )
+        write_scene(tmp_path)
+        process = start(folder=tmp_path, own=own)
+        assert process.communicate(timeout=120)[1].splitlines()[-2:] == [
+            "bayes-rs: interrupted.",
+            "bayes-rs: The fit is finished and kept in 'out'; of its pictures some are missing.",
+        ]
+        assert process.returncode == 130
+        assert open_fit(tmp_path / "out").n_record == 20
+
+    def test_that_comes_when_all_is_shown(self, tmp_path):
+        own = (
+            "import os, sys\n"
+            "from bayes_rs.cli import main, scan_commands\n"
+            "class Gone:\n"
+            "    def __del__(self):\n"
+            "        os.kill(os.getpid(), 2)\n"
+            "scan_commands.scans.callback = lambda **_: Gone() and None\n"
+            "sys.argv = ['bayes-rs', 'scans']\n"
+            "main()\n"
+        )
+        process = start(folder=tmp_path, own=own)
+        assert process.communicate()[1].endswith("bayes-rs: interrupted.\n")
+        assert process.returncode == 130
 
     def test_who_may_not_be_hung_up_goes_on(self, tmp_path):
         """`nohup` has the signal ignored."""

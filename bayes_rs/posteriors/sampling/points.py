@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, ndtri
-from scipy.stats import qmc
 
 from bayes_rs._validation import FloatArray
+from bayes_rs.even_points import even_points
 from bayes_rs.posteriors.proposal import DEGREES_OF_FREEDOM, StudentProposal
 from bayes_rs.posteriors.sampling.streams import RecordStreams
 
@@ -35,17 +35,10 @@ def student_points(n_set: int, k: int, size: int, *key: int) -> tuple[FloatArray
         Points.
     square : ndarray, shape (n_set, size)
         Their squared distances from the origin, which no rotation changes.
-
-    References
-    ----------
-    Owen (2023), Practical Quasi-Monte Carlo Integration, Ch. 17, https://artowen.su.domains/mc/practicalqmc.pdf.
     """
     point, square = np.empty((n_set, k, size)), np.empty((n_set, size))
     for index, entropy in enumerate(np.random.SeedSequence([*key, n_set, k, size]).spawn(n_set)):
-        log_size = int(np.ceil(np.log2(size)))
-        uniform = qmc.Sobol(k + 1, rng=np.random.default_rng(entropy)).random_base2(log_size)[:size]
-        # scrambled points have 64 random bits: none is 0, and a last one of 1 by rounding is kept inside
-        uniform = np.clip(uniform, 0.5**64, 1.0 - 0.5**53)
+        uniform = even_points(size, k + 1, np.random.default_rng(entropy))
         chi_square = 2.0 * gammaincinv(0.5 * DEGREES_OF_FREEDOM, uniform[:, k])
         point[index] = (ndtri(uniform[:, :k]) * np.sqrt(DEGREES_OF_FREEDOM / chi_square)[:, None]).T
         square[index] = np.sum(point[index] ** 2, axis=0)
