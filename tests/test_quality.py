@@ -502,7 +502,7 @@ class TestRemarks:
         ],
     )
     def test_each_check_finds_its_fault_and_nothing_else(self, rules, expected):
-        assert REMARK_FLAGS == {"not_stationary": 16, "low_wind": 32}
+        assert REMARK_FLAGS == {"not_stationary": 16, "low_wind": 32, "spikes": 64}
         records = make_records(with_faults(), SCAN, quality=brs.QualityRules(**rules))
         np.testing.assert_array_equal(records["record_flag"], expected)
         assert not records["flag"].any()  # a remark: every beam stays in use

@@ -31,6 +31,7 @@ FLAGS: dict[str, int] = {
     "beams_disagree": 16384,
     "unsteady": 8192,
     "other_length_scale": 32768,
+    "spikes": 262144,
 }
 """Bits of a record's flag."""
 
@@ -57,6 +58,7 @@ FLAG_MEANINGS = {
     "noise_above_variance": "the instrument's noise that was given is above the variance of every beam: nothing is "
     "left for the wind",
     "beams_disagree": "beams disagree with each other by more than any flow explains",
+    "spikes": "samples far outside the others of their beam, as of low CNR, raise the variances",
     "unsteady": "the wind changes as by a front or a trend, which adds to the stresses",
     "other_length_scale": "the noise was made for another length scale than the record's spectra say: its intervals "
     "may be too narrow or too wide",
@@ -111,7 +113,7 @@ def flags_before(records: xr.Dataset, usable: NDArray[np.bool_], fitted: NDArray
         meanings = str(records["record_flag"].attrs.get("flag_meanings", "")).split()
         masks = np.atleast_1d(records["record_flag"].attrs.get("flag_masks", []))
         for meaning, mask in zip(meanings, masks, strict=True):
-            if meaning in ("yaw_not_seen", "not_stationary", "low_wind"):
+            if meaning in ("yaw_not_seen", "not_stationary", "low_wind", "spikes"):
                 flag[(records["record_flag"].values & mask) != 0] |= FLAGS[meaning]
     if "unsteady" in records:
         flag[records["unsteady"].values != 0] |= FLAGS["unsteady"]

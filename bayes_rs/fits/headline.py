@@ -21,6 +21,7 @@ from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.posteriors.decided import is_priors
 from bayes_rs.records.beam_correlation import CORRELATION
+from bayes_rs.records.belief import told_in_full
 from bayes_rs.records.layout import mast_there
 
 NOTHING = "nothing"
@@ -272,7 +273,9 @@ def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[
     flags = np.concatenate([none, *(own.flag for own in fits)])
     counts = {word: int(np.count_nonzero(flags & bit)) for word, bit in FLAGS.items()}
     counts = {word: count for word, count in counts.items() if count}
-    ordered = sorted(counts, key=lambda word: (not FLAGS[word] & FAILURES, -counts[word]))
+    in_full = _in_full(fits)
+    named = [word for word in counts if word != "spikes" or not in_full]
+    ordered = sorted(named, key=lambda word: (not FLAGS[word] & FAILURES, -counts[word]))
     parts = [f"{counts[word]} of {len(flags)} records: {_meaning(word)}" for word in ordered[:1]]
     parts += [f"{counts[word]}: {_meaning(word)}" for word in ordered[1:_MOST_FLAGS]]
     if len(ordered) > _MOST_FLAGS:
@@ -282,13 +285,26 @@ def _doubts(run: Mapping[str, Any], fits: Sequence[FitData]) -> tuple[str, dict[
     late = int(run.get("samples_late", 0))
     parts += [f"{len(files)} file{'s' * (len(files) > 1)} could not be used"] if files else []
     parts += [f"{late} samples came too late for their record"] if late else []
-    parts += ["some of the data are not believed"] if doubts else []
+    parts += in_full
+    parts += ["some of the data are not believed"] if any(not told_in_full(line) for line in doubts) else []
     parts += ["the campaign's chains fell short"] if any(campaign_failures(own.run["campaign"]) for own in fits) else []
     parts += _of_all_records(fits)
     parts += _beside_variances(fits)
     together = [line for own in fits for line in own.run.get("beams", {}).get("together", [])]
     numbers = {"flags": counts, "bad_files": files, "samples_late": late, "doubts": doubts, "beams": together}
     return "; ".join(parts) or NOTHING, numbers
+
+
+def _in_full(fits: Sequence[FitData]) -> list[str]:
+    """Return the doubts that say what to do by themselves: of several ranges each kind once, and where it is."""
+    told = [[line for line in own.run["doubts"] if told_in_full(line)] for own in fits]
+    if len(fits) == 1:
+        return told[0]
+    kinds: dict[str, list[str]] = {}
+    for lines in told:
+        for line in lines:
+            kinds.setdefault(told_in_full(line), []).append(line)
+    return [f"at {len(lines)} of {len(fits)} ranges, as {lines[0]}" for lines in kinds.values()]
 
 
 def _of_all_records(fits: Sequence[FitData]) -> list[str]:

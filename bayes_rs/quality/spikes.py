@@ -11,6 +11,13 @@ from bayes_rs.quality.samples import BoolArray, IntArray
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
+FAR = 10.0
+"""Robust standard deviations beyond which a sample is far out: twice the usual threshold, where air has no samples."""
+SPIKES = "lie far outside the others of their beam (spikes, as of low CNR)"
+DESPIKE = "despike='median' (--despike median) leaves them out"
+"""What is said of samples far out, and what helps."""
+_JUMP = 16.0
+"""A group whose largest step is below so many mean quiet ones has no sample far out."""
 
 
 def running_median(velocity: FloatArray, group: IntArray, *, window: int) -> FloatArray:
@@ -58,3 +65,49 @@ def is_spike(velocity: FloatArray, group: IntArray, *, window: int, threshold: f
     them all. Where MAD is zero (a value that repeats) the rule has no scale and drops nothing.
     """
     return is_far(np.abs(velocity - running_median(velocity, group, window=window)), group, threshold=threshold)
+
+
+def is_far_out(velocity: FloatArray, group: IntArray, *, window: int) -> BoolArray:
+    """Find the samples that are spikes beyond doubt: those of `is_spike` at the threshold `FAR`.
+
+    Parameters
+    ----------
+    velocity, group, window
+        As for `is_spike`.
+
+    Returns
+    -------
+    far : ndarray of bool, shape (n_sample,)
+        Which samples are far outside the others.
+
+    Notes
+    -----
+    The running median is calculated only of groups that have a step to the next sample 16 times as large as their mean
+    quiet one: the mean of the smallest of three steps in a row, of which a single spike makes two.
+    """
+    far = np.zeros(len(velocity), dtype=bool)
+    if len(velocity) < 2:
+        return far
+    same = group[1:] == group[:-1]
+    step = np.where(same, np.abs(np.diff(velocity)), 0.0)
+    start = np.flatnonzero(np.concatenate([[True], ~same]))
+    length = np.diff(np.append(start, len(velocity)))
+    largest = np.maximum.reduceat(np.append(0.0, step), start)
+    quiet = np.zeros(len(velocity))
+    quiet[3:] = np.minimum(np.minimum(step[:-2], step[1:-1]), step[2:])  # zero where a group begins
+    mean = np.add.reduceat(quiet, start) / np.maximum(length - 3, 1)
+    rows = np.repeat(largest > _JUMP * mean, length)
+    if rows.any():
+        far[rows] = is_spike(velocity[rows], group[rows], window=window, threshold=FAR)
+    return far
+
+
+def samples_words(number: int, total: int) -> str:
+    """Return a number of samples as a share of all.
+
+    Examples
+    --------
+    >>> samples_words(9, 1000)
+    '0.9 % of samples (9 of 1000)'
+    """
+    return f"{100.0 * number / total:.2g} % of samples ({number} of {total})"

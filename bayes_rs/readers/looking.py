@@ -15,6 +15,8 @@ from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.options import from_plain
+from bayes_rs.quality.groups import group_moments
+from bayes_rs.quality.spikes import DESPIKE, SPIKES, is_far_out, samples_words
 from bayes_rs.readers.compressed import plain_file, plain_suffix
 from bayes_rs.readers.directions import CommonDirections, common_directions
 from bayes_rs.readers.folders import find_files
@@ -33,6 +35,9 @@ MOST_FILES = 20
 _GAP = 5.0  # sampling intervals from which on a pause is a gap
 _LIKELY = 0.9  # share of the largest growth with height
 _BLOCKS = "▁▂▃▄▅▆▇█"
+_WINDOW, _SPIKE_WINDOW = 600.0, 11  # s within which samples are compared, and samples of the running median
+_RAISED, _RAISED_ONE = 0.02, 0.1  # share of all variances, or of a beam's, from which on spikes are told
+_N_PHASE = 50  # parts of a cone that are compared with themselves
 _MOST_LISTED = 60  # directions
 _PRESETS = {1: "staring", 2: "2-beam", 4: "pulsed-4-beam", 50: "zx-tm"}
 
@@ -154,6 +159,7 @@ def _of_rays(head: str, paths: Sequence[Path], first: Rays, asked: FileOptions, 
     if main.kind == "beams" and len(found.rays) <= _MOST_LISTED:
         lines.append(f"mean velocity at {far:g} m, positive away from the lidar:")
         lines += _directions(found, velocity)
+    lines += _spikes(time, velocity, found.label)
     azimuth, elevation = angles_of(direction)
     slant = np.isfinite(velocity) & (elevation < 85.0)
     over = (
@@ -218,8 +224,10 @@ def _of_table(head: str, table: LookedTable, asked: FileOptions, named: list[str
         lines += said
         words += ["--positive", sign] if sign and asked.positive is None else []
         seconds, some = _beginning(time, velocity)
-    if n_file > 1:
-        lines.append("other files are not looked at: give one of them to look at it")
+    told = _spikes(time, velocity, numbers if phase is None else _parts_of_cone(phase))
+    lines += told
+    words += ["--despike", "median"] if told else []
+    lines += ["other files are not looked at: give one of them to look at it"] if n_file > 1 else []
     if phase is not None and velocity is not None:
         turns = np.nanmax(np.abs(phase)) <= 6.3
         over = over_phase(np.rad2deg(phase) if turns else phase, _believable(velocity))
@@ -304,6 +312,39 @@ def _sampling(time: NDArray[np.datetime64], label: NDArray[np.int64], *, whole: 
     share = 1.0 - float(np.sum(pauses - middle)) / float(np.sum(step_of_all))
     many = "1 gap of" if len(pauses) == 1 else f"{len(pauses)} gaps, the longest"
     return f"{words}; {many} {np.max(pauses):.4g} s; samples in {100.0 * share:.0f} % of the time"
+
+
+def _parts_of_cone(phase: FloatArray) -> NDArray[np.int64]:
+    """Return which part of a cone each sample is of, from phases in degrees or radians; -1 where that is not known."""
+    turn = 2.0 * np.pi if np.nanmax(np.abs(phase), initial=0.0) <= 6.3 else 360.0
+    part = np.floor((phase / turn) % 1.0 * _N_PHASE)
+    return np.where(np.isfinite(part), part, -1.0).astype(np.int64)
+
+
+def _spikes(time: NDArray[np.datetime64], velocity: FloatArray | None, label: NDArray[np.int64]) -> list[str]:
+    """Say how many samples look like spikes, if they matter: as `make_records` says it of records."""
+    if velocity is None:
+        return []
+    known = np.flatnonzero(~np.isnat(time) & (label >= 0) & np.isfinite(_believable(velocity)))
+    if not len(known):
+        return []
+    window = ((time[known] - time[known].min()) / np.timedelta64(1, "s") // _WINDOW).astype(np.int64)
+    order = np.lexsort((time[known], window, label[known]))
+    beam, values = label[known][order], velocity[known][order]
+    group = np.cumsum(np.append(0, (np.diff(beam) != 0) | (np.diff(window[order]) != 0)))
+    far = is_far_out(values, group, window=_SPIKE_WINDOW)
+    if not far.any():
+        return []
+    n_group = int(group[-1]) + 1
+    of_group = beam[np.flatnonzero(np.diff(group, prepend=-1))]
+    every, clean = (
+        np.bincount(of_group, weights=np.nan_to_num(group_moments(values[rows], group[rows], n_group)[2]))
+        for rows in (np.ones(len(far), dtype=bool), ~far)
+    )
+    raised = np.divide(every, clean, out=np.ones_like(every), where=clean > 0.0) - 1.0
+    if every.sum() <= (1.0 + _RAISED) * clean.sum() and raised.max() <= _RAISED_ONE:
+        return []
+    return [f"{samples_words(int(far.sum()), len(values))} {SPIKES}: {DESPIKE}"]
 
 
 def _sign(velocity: FloatArray) -> tuple[list[str], str | None]:

@@ -14,11 +14,15 @@ from bayes_rs.file_options import VELOCITY_LIMIT
 from bayes_rs.quality.belief import MOST_ANGLE, BoolArray, Impossible, add_told, most_frequent
 from bayes_rs.quality.filtering import Filtered
 from bayes_rs.quality.samples import BeamSamples
+from bayes_rs.quality.spikes import DESPIKE, SPIKES, samples_words
 from bayes_rs.records.flags import BEAM_FLAGS, flag_attributes
 from bayes_rs.records.layout import MAST
 
 NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
+
+_IN_FULL = (SPIKES,)
+"""What tells the doubts of data that are used: a headline says them in full."""
 
 _ANGLES = ("yaw", "tilt", "roll", "yaw_sd")
 _WORDS = {
@@ -156,6 +160,11 @@ def doubt_lines(dataset: xr.Dataset) -> list[str]:
     return lines
 
 
+def told_in_full(line: str) -> str:
+    """Return what tells a doubt that a headline says in full: of data that are used; empty for others."""
+    return next((words for words in _IN_FULL if words in line), "")
+
+
 def _of_reading(report: Mapping[str, Any]) -> list[str]:
     lines = []
 
@@ -201,6 +210,8 @@ def _of_making(report: Mapping[str, Any]) -> list[str]:
             f"{variances['count']} of {variances['of']} variances are larger than any atmosphere's, and are not used; "
             f"the first is that of {variances['first_time']}, beam {variances['first_beam']}"
         )
+    if report.get("spikes"):
+        lines.append(_of_spikes(report))
     unset = report.get("records_of_unset_clock", {"count": 0})
     if unset["count"]:
         lines.append(
@@ -208,6 +219,22 @@ def _of_making(report: Mapping[str, Any]) -> list[str]:
             f"{unset['first_time']}: leave out the files that they come from, or correct their times"
         )
     return lines
+
+
+def _of_spikes(report: Mapping[str, Any]) -> str:
+    """Say how many samples look like spikes, what they do, and what leaves them out."""
+    found = report["spikes"]
+    line = f"{samples_words(found['samples'], found['of'])} {SPIKES} and raise the variances by "
+    line += f"{_percent(found['raised'])} %"
+    if found["worst_of"] < found["of"]:
+        line += f" (those of beam {found['worst_beam']} by {_percent(found['worst_raised'])} %)"
+    if (report.get("quality") or {}).get("despike") is None:
+        return f"{line}: {DESPIKE}"
+    return f"{line}: a lower despike_threshold leaves more of them out"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f}" if share >= 0.01 else f"{100.0 * share:.1f}"
 
 
 def _times(number: int) -> str:

@@ -15,6 +15,7 @@ from bayes_rs.quality.filtering import Filtered
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, count_flags
 from bayes_rs.records.record_samples import SortedSamples
+from bayes_rs.records.spike_counts import spikes_report
 
 _AHEAD = 0.5
 """Mean of the beams' components along the axis from which on a scan has a front, so that wind can come from behind."""
@@ -72,6 +73,7 @@ def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int
         "few_samples": _few_samples(records),
         "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),
         "record_flags": count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
+        **spikes_report(records),
         "records_with_wind_from_behind": int(wind_from_behind(records["yaw"].values, scan).sum()),
     }
 

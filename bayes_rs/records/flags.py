@@ -22,7 +22,7 @@ BEAM_FLAGS = {
 }
 RECORD_FLAGS = {"yaw_not_seen": 1, "wind_not_seen": 2, "beam_flagged": 4, "no_usable_beam": 8}
 """Flags of a record that the wind and its beams decide."""
-REMARK_FLAGS = {"not_stationary": 16, "low_wind": 32}
+REMARK_FLAGS = {"not_stationary": 16, "low_wind": 32, "spikes": 64}
 """Flags of a record that are remarks: it is fitted, unless the rules exclude it."""
 
 

@@ -60,6 +60,8 @@ RECORDS: dict[str, Entry] = {
     "beam_correlation": Entry(("record", "beam_pair"), most=1.0),
     MAST: Entry(("record", "stress"), unit=_VARIANCE, most=_ANY),
     "octave_variance": Entry(("record", "beam", "octave"), unit=_VARIANCE),
+    "spike_count": Entry(_BOTH, least=0.0),
+    "spike_variance": Entry(_BOTH, unit=_VARIANCE, least=-_ANY, most=_ANY),
     "trend": Entry(_BOTH),
     "trend_p_value": Entry(_BOTH),
     "sub_variance": Entry(_BOTH),
@@ -158,6 +160,17 @@ class _Blades(Open):
     p_value: Finite | None
 
 
+class _Spikes(Open):
+    samples: Count
+    of: Count
+    records: Count
+    raised: Finite
+    worst_beam: int
+    worst_samples: Count
+    worst_of: Count
+    worst_raised: Finite
+
+
 class RecordsReport(Open):
     """What records were made of."""
 
@@ -176,6 +189,7 @@ class RecordsReport(Open):
     blades: list[_Blades] = Field(default_factory=list)
     long_gaps: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
     records_of_unset_clock: _Counted = _Counted(count=0)
+    spikes: _Spikes | None = None
     beam_flags: dict[str, _CountedOfBeams]
     record_flags: dict[str, _Counted]
     samples_needed: Finite

@@ -37,6 +37,7 @@ from bayes_rs.records.layout import REPORT
 from bayes_rs.records.ranges import stack_ranges
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.record_samples import sort_samples
+from bayes_rs.records.spike_counts import has_spikes, spikes_of_records
 from bayes_rs.records.windows import is_touched, record_windows
 
 _FROM_SERIES = ("source_files", "read_report", "velocity_limit")
@@ -81,9 +82,10 @@ def make_records(
         halves, quarters, … down to the samples add to the variance (`bayes_rs.quality.octaves`): it tells the length
         scale. What the parts of a record tell of its steadiness and of the
         scatter of its variance stands in ``part_beams`` (record), ``part_wind``, ``part_wind_across`` (record, part),
-        ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``. With
-        ``correlations=True``, ``beam_correlation`` (record, beam_pair) is how the beams go together; see
-        ``docs/covariances.md``.
+        ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``.
+        ``spike_count`` and ``spike_variance`` (record, beam) are the samples that count and lie far outside the others
+        of their beam, and what they add to its variance, m² s⁻². With ``correlations=True``, ``beam_correlation``
+        (record, beam_pair) is how the beams go together; see ``docs/covariances.md``.
 
     Raises
     ------
@@ -114,7 +116,7 @@ def make_records(
     32 ``record_excluded``, by its remarks; 64 ``impossible``, a variance that no atmosphere has; 128 ``cut_off``, too
     few samples because the data begin or end within the record. Flags of a record: 1 ``yaw_not_seen``; 2
     ``wind_not_seen``, wind speed and yaw are NaN; 4 ``beam_flagged``, at least one; 8 ``no_usable_beam``; and as
-    remarks 16 ``not_stationary``; 32 ``low_wind``.
+    remarks 16 ``not_stationary``; 32 ``low_wind``; 64 ``spikes``.
 
     Velocities beyond ``attrs["velocity_limit"]`` of the series, 90 m/s if it has none, count as missing, as the filter
     ``impossible``; a variance is impossible beyond the square of a third of it, 900 m² s⁻².
@@ -159,8 +161,10 @@ def make_records(
         more |= together
     more |= _remarks(records, samples, filtered, rules, chosen.window)
     more |= _octaves(samples, filtered, chosen.window, octave_count(chosen.expected(of_scan)))
+    more |= spikes_of_records(samples, filtered.keep, records["variance"].values, window=rules.despike_window)
     records = records.assign({**more, **_span(samples, chosen)})  # together: each time takes 1 ms
     records = with_cut_off(records, of_scan, chosen)
+    records["record_flag"].values[has_spikes(records)] |= REMARK_FLAGS["spikes"]
     report = {
         **samples_report(came, filtered, int(series.sizes["sample"])),
         **impossible,
