@@ -21,7 +21,8 @@ from bayes_rs.records.layout import MAST
 NOT_BELIEVED = "not_believed"
 """Attribute of records: in JSON, what `believed` counted as missing."""
 
-_IN_FULL = (SPIKES,)
+_CYCLE = "samples of a beam come every"
+_IN_FULL = (SPIKES, _CYCLE)
 """What tells the doubts of data that are used: a headline says them in full."""
 
 _ANGLES = ("yaw", "tilt", "roll", "yaw_sd")
@@ -210,6 +211,8 @@ def _of_making(report: Mapping[str, Any]) -> list[str]:
             f"{variances['count']} of {variances['of']} variances are larger than any atmosphere's, and are not used; "
             f"the first is that of {variances['first_time']}, beam {variances['first_beam']}"
         )
+    if report.get("cycle"):
+        lines.append(cycle_words(report["cycle"]))
     if report.get("spikes"):
         lines.append(_of_spikes(report))
     unset = report.get("records_of_unset_clock", {"count": 0})
@@ -219,6 +222,15 @@ def _of_making(report: Mapping[str, Any]) -> list[str]:
             f"{unset['first_time']}: leave out the files that they come from, or correct their times"
         )
     return lines
+
+
+def cycle_words(found: Mapping[str, Any]) -> str:
+    """Say that samples come at another cycle than the scan's, and what to do."""
+    some = "" if found["records"] == found["of"] else f" in {found['records']} of {found['of']} records"
+    return (
+        f"{_CYCLE} {found['interval']:.3g} s{some}, and the scan says {found['scan_duration']:.3g} s: correct the scan "
+        "(scan_duration under timing in its file, and the time of beams that are listed): noise and bias go with it"
+    )
 
 
 def _of_spikes(report: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ from bayes_rs.quality.filtering import Filtered
 from bayes_rs.quality.samples import IntArray
 from bayes_rs.records.flags import BEAM_FLAGS, RECORD_FLAGS, REMARK_FLAGS, count_flags
 from bayes_rs.records.record_samples import SortedSamples
+from bayes_rs.records.sample_interval import cycle_report
 from bayes_rs.records.spike_counts import spikes_report
 
 _AHEAD = 0.5
@@ -74,6 +75,7 @@ def flags_report(records: xr.Dataset, numbers: IntArray, scan: Scan, window: int
         "beam_flags": count_flags(flag, BEAM_FLAGS, start, numbers),
         "record_flags": count_flags(records["record_flag"].values, {**RECORD_FLAGS, **REMARK_FLAGS}, start, None),
         **spikes_report(records),
+        **cycle_report(records, scan),
         "records_with_wind_from_behind": int(wind_from_behind(records["yaw"].values, scan).sum()),
     }
 

@@ -60,6 +60,7 @@ RECORDS: dict[str, Entry] = {
     "beam_correlation": Entry(("record", "beam_pair"), most=1.0),
     MAST: Entry(("record", "stress"), unit=_VARIANCE, most=_ANY),
     "octave_variance": Entry(("record", "beam", "octave"), unit=_VARIANCE),
+    "sample_interval": Entry(_RECORD, unit="s", least=0.0),
     "spike_count": Entry(_BOTH, least=0.0),
     "spike_variance": Entry(_BOTH, unit=_VARIANCE, least=-_ANY, most=_ANY),
     "trend": Entry(_BOTH),
@@ -171,6 +172,13 @@ class _Spikes(Open):
     worst_raised: Finite
 
 
+class _Cycle(Open):
+    interval: Positive
+    scan_duration: Positive
+    records: Count
+    of: Count
+
+
 class RecordsReport(Open):
     """What records were made of."""
 
@@ -190,6 +198,7 @@ class RecordsReport(Open):
     long_gaps: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
     records_of_unset_clock: _Counted = _Counted(count=0)
     spikes: _Spikes | None = None
+    cycle: _Cycle | None = None
     beam_flags: dict[str, _CountedOfBeams]
     record_flags: dict[str, _Counted]
     samples_needed: Finite

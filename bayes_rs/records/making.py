@@ -37,6 +37,7 @@ from bayes_rs.records.layout import REPORT
 from bayes_rs.records.ranges import stack_ranges
 from bayes_rs.records.record_options import RecordOptions, record_options
 from bayes_rs.records.record_samples import sort_samples
+from bayes_rs.records.sample_interval import interval_of_records
 from bayes_rs.records.spike_counts import has_spikes, spikes_of_records
 from bayes_rs.records.windows import is_touched, record_windows
 
@@ -84,7 +85,8 @@ def make_records(
         scatter of its variance stands in ``part_beams`` (record), ``part_wind``, ``part_wind_across`` (record, part),
         ``block_scatter`` and ``block_scatter_of_beams`` (record, blocks); see ``docs/quality.md``.
         ``spike_count`` and ``spike_variance`` (record, beam) are the samples that count and lie far outside the others
-        of their beam, and what they add to its variance, m² s⁻². With ``correlations=True``, ``beam_correlation``
+        of their beam, and what they add to its variance, m² s⁻². ``sample_interval`` (record), s, is the usual time
+        between samples of a beam. With ``correlations=True``, ``beam_correlation``
         (record, beam_pair) is how the beams go together; see ``docs/covariances.md``.
 
     Raises
@@ -162,6 +164,7 @@ def make_records(
     more |= _remarks(records, samples, filtered, rules, chosen.window)
     more |= _octaves(samples, filtered, chosen.window, octave_count(chosen.expected(of_scan)))
     more |= spikes_of_records(samples, filtered.keep, records["variance"].values, window=rules.despike_window)
+    more |= interval_of_records(samples, of_scan.scan_duration)
     records = records.assign({**more, **_span(samples, chosen)})  # together: each time takes 1 ms
     records = with_cut_off(records, of_scan, chosen)
     records["record_flag"].values[has_spikes(records)] |= REMARK_FLAGS["spikes"]

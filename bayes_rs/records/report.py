@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_rs.geometry.ranged_scan import short
 from bayes_rs.readers.unnamed_ranges import listed_ranges
-from bayes_rs.records.belief import doubt_lines
+from bayes_rs.records.belief import cycle_words, doubt_lines
 from bayes_rs.records.flags import BEAM_FLAGS
 from bayes_rs.records.layout import OF_RANGES, REPORT
 from bayes_rs.records.ranges import split_ranges
@@ -231,6 +231,8 @@ def _describe_few(report: Mapping[str, Any]) -> list[str]:
         f"beams with too few samples have {span} of {expected:.3g} ({' to '.join(dict.fromkeys(shares))} %), half of "
         f"them {few['usual']:g} or more"
     )
+    if report.get("cycle"):
+        return [line]  # the doubt says why
     least = report.get("min_count") or LEAST_TAKEN
     share = np.floor(20.0 * few["usual"] / expected) / 20.0
     if few["usual"] < least:
@@ -270,6 +272,8 @@ def _what_takes_more(parts: Sequence[xr.Dataset], flags: Sequence[NDArray[np.uin
         return ""
     share = "a lower min_availability (--min-availability)"
     report = json.loads(parts[0].attrs.get("records_report", "{}"))
+    if report.get("cycle"):
+        return f"; {cycle_words(report['cycle'])}"
     counts = [part["count"].values[own] for part, own in zip(parts, few, strict=True) if "count" in part]
     least, most = report.get("min_count"), max((int(own.max()) for own in counts if own.size), default=None)
     if least is None or most is None:
