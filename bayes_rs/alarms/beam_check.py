@@ -54,11 +54,26 @@ class Block:
         The data themselves.
     expected : Expected
         Their residuals, and how these scatter.
+    air, own : ndarray, shape (n_record, n_beam), optional
+        Share of each variance that is not the instrument's noise, and the relative variance that this noise adds to it,
+        for how the beams scatter.
     """
 
     used: NDArray[np.bool_]
     datum: FloatArray
     expected: Expected
+    air: FloatArray | None = None
+    own: FloatArray | None = None
+
+    @property
+    def noise(self) -> FloatArray:
+        """Covariance of the data with the instrument's noise in them, shape (n_record, n_beam, n_beam)."""
+        noise = self.expected.noise
+        if self.air is None or self.own is None:
+            return noise
+        floor = FLOOR**2 * np.eye(noise.shape[-1])
+        diluted = (noise - floor) * self.air[:, :, None] * self.air[:, None, :]
+        return np.asarray(diluted + self.own[:, :, None] * np.eye(noise.shape[-1]) + floor)
 
 
 @dataclass(frozen=True)
@@ -168,7 +183,9 @@ class BeamCheck:
         return EXCHANGE + 2.0 * float(np.log(max(0.5 * n_beam * (n_beam - 1.0), 1.0)))
 
 
-def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns, n_record: int) -> BeamCheck:
+def check_beams(
+    blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns, n_record: int, *, accuracy: float = 0.0
+) -> BeamCheck:
     """Look at the beams of records: at each record by itself, and at all together.
 
     Parameters
@@ -179,6 +196,9 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
         Which beams may be wrong together.
     n_record : int
         Number of all records.
+    accuracy : float
+        Error of the covariance of log-variances, relative to its largest entry: combinations of the beams whose
+        variance is less tell nothing of the scatter.
 
     Returns
     -------
@@ -206,7 +226,7 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
             total = np.asarray(total + np.where(np.isfinite(scores.swap), scores.swap, 0.0))
         swaps.append(_best_swap(total))
         found = pair[0].expected
-        some.append((found.noise[own], found.slope[own], found.left[own], pair[0].used[own], own + first))
+        some.append((pair[0].noise[own], found.slope[own], found.left[own], pair[0].used[own], own + first))
         first += len(swaps[-1])
     kinds = {
         name: _evidence(seen, independent.get(name, float(len(patterns))), patterns, means=name == "mean")
@@ -225,7 +245,7 @@ def check_beams(blocks: Iterable[tuple[Block, Block | None]], patterns: Patterns
         kinds,
         exchange,
         _swap_together(list(kinds.values())),
-        _scatter(some, np.concatenate([one.left for one in tallies["variance"]]), ~(probability < LEVEL)),
+        _scatter(some, np.concatenate([one.left for one in tallies["variance"]]), ~(probability < LEVEL), accuracy),
         patterns,
     )
 
@@ -362,6 +382,7 @@ def _scatter(
     some: Sequence[tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.int64]]],
     left: FloatArray,
     sound: NDArray[np.bool_],
+    accuracy: float,
 ) -> tuple[float, float, float] | None:
     """Return by which factor data scatter more than noise where flow cannot move them, with its 90 % interval."""
     if sound.sum() < FEWEST or sound.mean() < _SOUND:  # of few that are left, one would take those that scatter least
@@ -376,22 +397,61 @@ def _scatter(
     for beams in np.unique(used[looked_at], axis=0):
         rows = np.flatnonzero(looked_at & (used == beams).all(axis=1))
         own = noise[np.ix_(rows, beams, beams)]
-        square[rows], count[rows] = _of_noise(own, slope[np.ix_(rows, beams)], residual[np.ix_(rows, beams)])
+        own_slope, own_residual = slope[np.ix_(rows, beams)], residual[np.ix_(rows, beams)]
+        square[rows], count[rows] = _of_noise(own, own_slope, own_residual, accuracy)
     square, count = square[count > 0], count[count > 0]
     if len(square) < FEWEST:
         return None
-    draws = np.random.default_rng(0).integers(0, len(square), (_N_BOOT, len(square)))
-    low, high = np.quantile(square[draws].sum(axis=1) / count[draws].sum(axis=1), [0.05, 0.95])
-    return float(square.sum() / count.sum()), float(low), float(high)
+    n = len(square)
+    draws = np.random.default_rng(0).integers(0, n, (_N_BOOT, n))
+    factor = float(square.sum() / count.sum())
+    ends = np.quantile(square[draws].sum(axis=1) / count[draws].sum(axis=1), [0.05, 0.95])
+    # few records drawn again scatter less than others of their kind do
+    wider = np.sqrt(n / (n - 1.0)) * scipy.special.stdtrit(n - 1, 0.95) / scipy.special.ndtri(0.95)
+    low, high = factor * (ends / factor) ** wider if factor > 0.0 else ends
+    total = float(count.sum())  # and a few numbers, drawn again, less than χ² does
+    least, most = (total * factor / float(scipy.stats.chi2.ppf(level, total)) for level in (0.95, 0.05))
+    return factor, min(float(low), least), max(float(high), most)
 
 
-def _of_noise(noise: FloatArray, slope: FloatArray, residual: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return χ² of records' residuals along the directions that flow hardly moves, and how many there are."""
-    own = noise + (_NOISE_FLOOR**2 - FLOOR**2) * np.eye(noise.shape[-1])
-    white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([slope, residual[:, :, np.newaxis]], axis=2))
+def _of_noise(
+    noise: FloatArray, slope: FloatArray, residual: FloatArray, accuracy: float
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return χ² of records' residuals along the directions that flow hardly moves, and how many there are.
+
+    Of these, the ones whose variance is below the accuracy of the noise are left out: they would tell of the theory.
+    """
+    identity = np.eye(noise.shape[-1])
+    theory = noise - FLOOR**2 * identity
+    diagonal = np.einsum("rbb->rb", theory)
+    # ln(1 + K) is of each variance by itself; what beams have for themselves scatters with K, relative to their level
+    own = theory * np.exp(diagonal.mean(axis=1))[:, None, None] + _NOISE_FLOOR**2 * identity
+    root = np.linalg.cholesky(own)
+    white = np.linalg.solve(root, np.concatenate([slope, residual[:, :, np.newaxis]], axis=2))
     left, size, _ = np.linalg.svd(white[:, :, :-1], full_matrices=True)
     power = np.zeros(residual.shape)
     power[:, : size.shape[1]] = size**2
     null = power < _NULL
+    if accuracy > 0.0:
+        limit = accuracy * diagonal.max(axis=1)
+        each = [_above(*one) for one in zip(own, root, left, null, slope, residual, limit, strict=True)]
+        return np.array([one[0] for one in each]), np.array([one[1] for one in each], dtype=np.int64)
     along = (left.swapaxes(-1, -2) @ white[:, :, -1:])[..., 0]
     return np.sum(np.where(null, along**2 / (1.0 + power), 0.0), axis=1), np.count_nonzero(null, axis=1)
+
+
+def _above(
+    own: FloatArray,
+    root: FloatArray,
+    left: FloatArray,
+    null: NDArray[np.bool_],
+    slope: FloatArray,
+    residual: FloatArray,
+    limit: float,
+) -> tuple[float, int]:
+    """Return χ² of one record along the directions that flow hardly moves and whose variance is above a limit."""
+    base = np.linalg.qr(np.linalg.solve(root.T, left[:, null]))[0]
+    variance, turn = np.linalg.eigh(base.T @ own @ base)
+    direction = (base @ turn)[:, variance > limit]
+    moved = variance[variance > limit] + np.sum((direction.T @ slope) ** 2, axis=1)
+    return float(np.sum((direction.T @ residual) ** 2 / moved)), direction.shape[1]

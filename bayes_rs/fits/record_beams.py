@@ -33,6 +33,8 @@ MOST_BEAMS = 64
 """Of more beams, so many are looked at, evenly chosen."""
 _SLOWEST, _FASTEST = 1.5, 40.0
 """Wind speeds between which means are looked at, m/s."""
+_LEAST_AIR = 0.02
+"""Least share of a variance that is taken for the air's, where the instrument's noise is nearly all of it."""
 _LOG_STEP = np.log(2.0)
 
 
@@ -130,8 +132,16 @@ def look_at_beams(records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, o
     # with those beams, too, that have less than half of the instrument's noise: they are looked for
     batch = replace(batch, used=sound_beams(records))
     data = _Data(records, scan, noise, batch, options)
-    check = check_beams(data.blocks(), beam_patterns(scan.beam_direction), len(batch))
+    patterns = beam_patterns(scan.beam_direction)
+    check = check_beams(data.blocks(), patterns, len(batch), accuracy=_accuracy(noise))
     return CheckWords(check, scan.beam, float(np.median(noise.length_scale)))
+
+
+def _accuracy(noise: Noise) -> float:
+    """Return the error of K over its largest entry that probe volumes and shortcuts leave in a usual state."""
+    states = noise.state_details or ({},)
+    every = [{**noise.details, **own} for own in states]
+    return float(np.median([of.get("probe_error", 0.0) + of.get("pair_error_largest", 0.0) for of in every]))
 
 
 def _of_beams(batch: Batch, some: NDArray[np.int64]) -> Batch:
@@ -151,6 +161,9 @@ class _Data:
     def __init__(self, records: xr.Dataset, scan: Scan, noise: Noise, batch: Batch, options: FitOptions) -> None:
         self.scan, self.noise, self.batch, self.options = scan, noise, batch, options
         self.place = gradient_columns(noise.scan_geometry)
+        count = float(records.attrs.get("duration", 600.0)) / scan.scan_duration
+        known = np.asarray(records["count"].values, dtype=np.float64) if "count" in records else count
+        self.count = np.maximum(np.broadcast_to(known, batch.variance.shape), 1.0)
         self.mean = self.mean_used = None
         if "mean" not in records:
             return
@@ -177,7 +190,13 @@ class _Data:
         offset = self.options.known_instrument_noise if own is None else own
         log_covariance = nuisances.inflation * np.log1p(noise.covariance)
         expected = expected_variances(batch.variance, batch.used, gain, log_covariance, offset, self.place)
-        return Block(batch.used, np.log(np.where(batch.used, batch.variance, 1.0)), expected)
+        variance = np.where(batch.used, batch.variance, 1.0)
+        # over the flow's best variance: over the measured one, the covariance would follow what it is compared with
+        best = variance * np.exp(-expected.left)
+        noise_share = np.clip(np.broadcast_to(offset, variance.shape) / best, 0.0, 1.0 - _LEAST_AIR)
+        # white noise of n samples: the variance of its own variance, and of its product with the air
+        own_scatter = 2.0 * noise_share * (2.0 - noise_share) / self.count[rows]
+        return Block(batch.used, np.log(variance), expected, 1.0 - noise_share, own_scatter)
 
     def _means(self, rows: slice) -> Block | None:
         if self.mean is None or self.mean_used is None:
