@@ -72,7 +72,7 @@ def read_motion(
     separator, decimal : str
         What separates the entries of a text file, and its decimal sign.
     invalid : sequence of float
-        Numbers that mark a missing entry.
+        Numbers that mark a missing entry. No tilt or roll within ±90 degrees and no heading within ±360 is one.
 
     Returns
     -------
