@@ -13,7 +13,7 @@ from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.belief import believed
-from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
+from bayes_rs.readers.compressed import COMPRESSIONS, own_suffix, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.not_read import why_not
@@ -97,7 +97,7 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
     reason = why_not(file)
     if reason is not None:
         raise InputError(reason)
-    if kind == "auto" and suffix not in SUFFIXES:
+    if kind == "auto" and suffix not in SUFFIXES and own_suffix(file) not in SUFFIXES:
         raise InputError(
             f"Unknown suffix {suffix!r} of file {str(file)!r}: it must be one of {', '.join(SUFFIXES)}, also "
             f"compressed ({', '.join(COMPRESSIONS)}); rename the file, or give its file_format."
@@ -138,7 +138,7 @@ def _check_said(file: Path, reader: Reader, file_format: FileFormat) -> None:
 
 
 def _find(file: Path, scan: Scan, options: FileOptions) -> Reader:
-    suffix = plain_suffix(file)
+    suffix = own_suffix(file)
     for reader in READERS.values():
         if suffix in reader.suffixes:
             file_format = resolve_format(options, scan, defaults=reader.defaults)

@@ -13,7 +13,7 @@ from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan import Scan
-from bayes_rs.readers.compressed import plain_file, plain_suffix
+from bayes_rs.readers.compressed import own_suffix, plain_file
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
@@ -91,12 +91,13 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
     nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
     with plain_file(path) as plain:
         try:
+            suffix = own_suffix(plain)
             for name, reader in RAY_READERS.items():
                 resolved = resolve_format(options, None, defaults=reader.defaults)
-                fits = plain_suffix(plain) in reader.suffixes
+                fits = suffix in reader.suffixes
                 if name == kind or (kind == "auto" and fits and reader.recognises(plain, nothing, resolved)):
                     return reader.rays(plain, reader.with_zone(plain, options, resolved))  # type: ignore[misc]  # those of RAY_READERS are not None
-            if plain_suffix(plain) in NETCDF_SUFFIXES:
+            if suffix in NETCDF_SUFFIXES:
                 glance(plain)  # a damaged one says so: no reader recognises it
         except InputError as error:
             raise InputError(str(error).replace(repr(str(plain)), repr(str(path)))) from error
