@@ -16,10 +16,11 @@ from bayes_rs.readers.belief import believed
 from bayes_rs.readers.compressed import COMPRESSIONS, own_suffix, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.registry import READERS
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.table import open_table
+from bayes_rs.readers.table import PARQUET_SUFFIXES, open_table
 
 SUFFIXES = tuple(dict.fromkeys(suffix for reader in READERS.values() for suffix in reader.suffixes))
 """Suffixes of the files of all formats."""
@@ -69,6 +70,19 @@ def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Ite
         reader, file_format = _reader_of(plain, scan, options)
         pieces = reader.pieces or (lambda *asked: iter((reader.read(*asked[:3]),)))
         yield from believed(named(_with_status(part, options)) for part in pieces(plain, scan, file_format, n_row))
+
+
+def found_reader(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, bool]:
+    """Return the reader of a file, and whether the file is text rather than Parquet or NetCDF.
+
+    Raises
+    ------
+    InputError
+        If no reader recognises it.
+    """
+    with _plain(file, options.file_format) as (plain, _):
+        reader = _find(plain, scan, options) if options.file_format == "auto" else READERS[options.file_format]
+        return reader, own_suffix(plain) not in (*PARQUET_SUFFIXES, *NETCDF_SUFFIXES)
 
 
 @contextmanager
