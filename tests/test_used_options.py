@@ -144,7 +144,7 @@ def test_an_option_of_another_format_is_refused_and_its_own_are_not(name, tmp_pa
         with pytest.raises(InputError) as caught:
             read(file, scan, **{**options, option: value})
         assert str(caught.value).startswith(f"The option {option} {value!r} (--"), option
-        words = f") is of {of}, and not used by the format of these files, {name} (as {file.name!r})"
+        words = f") is of {of}, and not used by the format of these files, {name} (file {str(file)!r})"
         assert words in str(caught.value)
     kept = read(file, scan, **options)
     own = {"bad_rows": "drop"} if is_text and "bad_rows" in READERS[name].uses else {}
@@ -162,7 +162,9 @@ class TestWays:
     def test_a_parquet_table_has_no_separator(self, tmp_path):
         long_frame(SERIES).to_parquet(tmp_path / "a.parquet")
         for name in OF_TEXT_FILES:
-            with pytest.raises(InputError, match=rf"^The option {name} .* is of files of text, .*, long \(as 'a.parq"):
+            with pytest.raises(
+                InputError, match=rf"^The option {name} .* is of files of text, .*, long \(file '.*a.parq"
+            ):
                 read(tmp_path / "a.parquet", SIX, **{name: OTHER[name]})
         assert read(tmp_path / "a.parquet", SIX, decimal=",", bad_rows="drop").sizes["sample"] == SERIES.sizes["sample"]
 
@@ -171,7 +173,9 @@ class TestWays:
         to_csv(long_frame(half[0]), table)
         to_netcdf(half[1], tmp_path / "b.nc")
         assert read([tmp_path / "b.nc", table], SIX, bad_rows="drop").sizes["sample"] == SERIES.sizes["sample"]
-        with pytest.raises(InputError, match=r"these files, netcdf \(as 'b.nc'\), long \(as 'a.csv'\): leave it out"):
+        with pytest.raises(
+            InputError, match=r"these files, netcdf \(file '.*b.nc'\), long \(file '.*a.csv'\): leave it out"
+        ):
             read([tmp_path / "b.nc", table], SIX, gate_length=30.0)
         found = run("records", tmp_path / "b.nc", table, "--scan", scan_file(tmp_path), "--bad-rows", "drop",
                     "-o", tmp_path / "r.nc")  # fmt: skip
@@ -193,7 +197,7 @@ class TestWays:
         assert find_scan(rays, distance=100.0, gates_by="distance").n_beam
 
     def test_several_are_named(self, table):
-        with pytest.raises(InputError, match=r"long \(as 'a.csv'\); neither are phase_turns: leave"):
+        with pytest.raises(InputError, match=r"long \(file '.*a.csv'\); nor are phase_turns: leave"):
             read(table, SIX, phase_zero_deg=30.0, phase_turns="down")
 
     def test_a_scan_s_own_table_may_be_of_other_files(self, table):

@@ -45,10 +45,10 @@ def check_used(files: Sequence[Path], scan: Scan | None, options: FileOptions) -
     if unused and kinds:
         name = unused[0]
         value, flag = getattr(options, name), _flag(name)
-        own = ", ".join(f"{kind} (as {file.name!r})" for kind, file in kinds.items())
+        own = ", ".join(f"{kind} (file {str(file)!r})" for kind, file in kinds.items())
         users = [kind for kind, reader in READERS.items() if _uses(reader, name, is_text=True)]
         what = "files of text" if name in OF_TEXT_FILES else f"the format{'s' * (len(users) > 1)} {', '.join(users)}"
-        more = f"; neither are {', '.join(unused[1:])}" if len(unused) > 1 else ""
+        more = f"; nor are {', '.join(unused[1:])}" if len(unused) > 1 else ""
         raise InputError(
             f"The option {name} {in_short(value)} ({flag}) is of {what}, and not used by the format of these files, "
             f"{own}{more}: leave it out, or say which format they have with file_format (--format)."
