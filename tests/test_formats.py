@@ -165,6 +165,13 @@ class TestContentBeforeName:
         assert_same(read(file, SIX), six)
         assert report_of(read(file, SIX))["files"][0]["format"] == {".nc": "netcdf", ".parquet": "long"}[kind]
 
+    @pytest.mark.parametrize("heading", ["PAR1", "CDF", "CDF1"])
+    def test_a_text_that_begins_so_is_text(self, tmp_path, six, heading):
+        frame = long_frame(six)
+        frame.insert(0, heading, 1.0)
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert_same(read(tmp_path / "a.csv", SIX), six)
+
     def test_a_look(self, tmp_path, six):
         long_frame(six).to_parquet(tmp_path / "day.csv")
         assert "format: a table, 4 columns" in look(tmp_path / "day.csv").lines[1]

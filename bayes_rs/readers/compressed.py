@@ -44,7 +44,7 @@ NOT_THE_FILE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EMFILE, errno.ENF
 """What the system fails with whatever the file is."""
 
 _BEGINNINGS = {
-    b"PAR1": ".parquet",
+    b"PAR1\x15": ".parquet",  # and the first field of its first page or footer: a heading may begin with PAR1
     b"\x89HDF\r\n\x1a\n": ".nc",
     b"CDF\x01": ".nc",
     b"CDF\x02": ".nc",
