@@ -26,7 +26,7 @@ _NO_MARKS = {
     "tilt_deg": (-90.0, 90.0),
     "roll_deg": (-90.0, 90.0),
     "heading_deg": (-360.0, 360.0),
-    **dict.fromkeys(("uv", "uw", "vw"), (0.0, 0.0)),
+    **dict.fromkeys(("u", "v", "w", "temperature", "uv", "uw", "vw"), (0.0, 0.0)),
 }
 """Lowest and highest number of columns that marks nothing, by name: 0 may mark a velocity, and be north here."""
 

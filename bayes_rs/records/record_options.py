@@ -20,7 +20,7 @@ ADDED = ("motion", "motion_columns", "mast", "mast_position")
 OF_MOTION = ("time_zone", "time_format", "separator", "decimal", "invalid")
 """What files of motion have in common with those of radial velocities."""
 OF_MAST = ("invalid",)
-"""What tables of a mast have in common with them."""
+"""What files of a mast have in common with them."""
 _WHO_ADDS = {
     "motion": "give it and the records to bayes_rs.wind.add_motion",
     "mast": "give its files and the records to bayes_rs.wind.with_mast",

@@ -73,7 +73,8 @@ def with_mast(
         Where it measures, m from the lidar in the levelled frame of that: x against the view of a nacelle lidar, y to
         the right of one who looks out, z up. So a mast 200 m in front of it is at (-200, 0, 0).
     invalid : float or sequence of float, optional
-        Numbers that mark a missing entry of a table, such as -9999. A covariance of 0 is never missing.
+        Numbers that mark a missing entry of a table or of a sonic's series, such as -9999. A covariance of 0, and a
+        sonic's velocity of 0, is never missing.
 
     Returns
     -------
@@ -124,7 +125,7 @@ def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptio
     records : Dataset, optional
         The records, if they are there already: a sonic's stresses are made for their length.
     files : FileOptions
-        How radial velocities are read, if they are not; its ``invalid`` holds for tables of the mast, too.
+        How radial velocities are read, if they are not; its ``invalid`` holds for files of the mast, too.
 
     Raises
     ------
@@ -196,7 +197,9 @@ def _read(
     series = [file for file in files if is_toa5(file)]
     first = f"mast in {str(files[0])!r}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
     if len(series) == len(files):
-        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first, duration)
+        return _of_stresses(
+            sonic_stresses(read_sonic(files, invalid=marks.invalid), duration=duration), first, duration
+        )
     if series:
         table = next(file for file in files if file not in series)
         raise InputError(
