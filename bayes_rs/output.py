@@ -20,6 +20,7 @@ from bayes_rs.folder_place import (
     check_place,
     finish_replacing,
     make_folder,
+    no_parents_left,
     replaced_of,
     take_place,
 )
@@ -50,7 +51,8 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     Yields
     ------
     folder : Path
-        Where to write. If the block fails, what it has written is kept in this folder, and the error says where.
+        Where to write. If the block fails, what it has written is kept in this folder, and the error says where; if
+        that is nothing, no folder that was made above it stays.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         alone = _alone(final, overwrite=overwrite)
     except OSError as error:
         raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
-    with alone, _fresh_folder(final, overwrite=overwrite) as part:
+    with alone, no_parents_left(final), _fresh_folder(final, overwrite=overwrite) as part:
         yield part
 
 
@@ -118,7 +120,7 @@ def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[s
     Yields
     ------
     file : Path
-        Where to write.
+        Where to write. If the block fails, nothing stays, nor do the folders that were made above it.
 
     Raises
     ------
@@ -126,6 +128,12 @@ def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[s
         If the file exists and may not be replaced, is one of the inputs, or cannot be written.
     """
     final = Path(path)
+    with no_parents_left(final), _fresh_file(final, overwrite=overwrite, inputs=inputs) as part:
+        yield part
+
+
+@contextmanager
+def _fresh_file(final: Path, *, overwrite: bool, inputs: Iterable[str | Path]) -> Iterator[Path]:
     try:
         _check_no_file(final, overwrite=overwrite)
         check_is_no_input(final, inputs)

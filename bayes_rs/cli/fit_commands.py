@@ -65,7 +65,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     # the first tells what they are: a fleet has a hundred
     first = single_files(settings.files.files)[:1]
     if first and named and open_record_files(first, settings.scan.load()) is not None:
-        refuse_for_records(settings.files.files)
+        refuse_for_records(settings)
     if save_settings is not None:
         _check_beside(Path(save_settings), Path(output))
         if Path(save_settings).exists():

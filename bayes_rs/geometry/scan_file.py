@@ -501,6 +501,11 @@ def as_scan(scan: Scan | str | Path) -> Scan:
     scan : Scan
         The scan.
 
+    Raises
+    ------
+    InputError
+        If it is anything else, such as records, or names no scan.
+
     Examples
     --------
     >>> as_scan("6-beam").n_beam
