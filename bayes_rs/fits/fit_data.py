@@ -16,6 +16,7 @@ from bayes_rs._validation import FloatArray, check_count
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import COVARIANCES, PAIRS
 from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
+from bayes_rs.fits.read_only import read_only, read_only_dataset
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.stated_time import stated_times
@@ -99,7 +100,7 @@ class FitData:
     loaded : callable
         Returns the records and the draws of the prior.
     place : str
-        The folder, for messages; empty in memory.
+        The folder, a whole path; empty in memory.
     """
 
     run: Mapping[str, Any]
@@ -109,15 +110,19 @@ class FitData:
     place: str = ""
 
     @cached_property
-    def records(self) -> xr.Dataset:
-        """The records that were fitted."""
+    def _records(self) -> xr.Dataset:
         records: xr.Dataset = self.loaded.records()
-        return records
+        return read_only_dataset(records)
+
+    @property
+    def records(self) -> xr.Dataset:
+        """The records that were fitted; their arrays are read-only, and ``records.copy(deep=True)`` can be changed."""
+        return self._records.copy(deep=False)
 
     @cached_property
     def prior_draws(self) -> FloatArray:
-        """Draws of the prior, shape (n, 6), m² s⁻²."""
-        return np.asarray(self.loaded.prior_draws(), dtype=np.float64)
+        """Draws of the prior, shape (n, 6), m² s⁻²; read-only."""
+        return read_only(np.asarray(self.loaded.prior_draws(), dtype=np.float64))
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -132,8 +137,8 @@ class FitData:
 
     @cached_property
     def flag(self) -> NDArray[np.int64]:
-        """Flags of the records, shape (n_record,): bit masks as in `FLAGS`."""
-        return self.source.read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
+        """Flags of the records, shape (n_record,): bit masks as in `FLAGS`; read-only."""
+        return read_only(self.source.read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64))
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
@@ -152,8 +157,9 @@ class FitData:
 
     @cached_property
     def time(self) -> NDArray[np.datetime64]:
-        """Starts of the records, shape (n_record,); NaT where there is no time."""
-        return self.source.read("posterior", ["record", "time"])["time"].to_numpy().astype("datetime64[ns]")
+        """Starts of the records, shape (n_record,); NaT where there is no time; read-only."""
+        starts = self.source.read("posterior", ["record", "time"])["time"].to_numpy()
+        return read_only(starts.astype("datetime64[ns]"))
 
     @property
     def has_draws(self) -> bool:
@@ -179,7 +185,7 @@ class FitData:
         Returns
         -------
         table : DataFrame
-            In the order of the records.
+            In the order of the records; a table of your own, which you may change.
 
         Raises
         ------
@@ -192,7 +198,7 @@ class FitData:
                 if dataset in ("draws", "predicted")
                 else InputError(f"No table {dataset!r} of this fit: it has {', '.join(self.source.datasets)}.")
             )
-        return self.source.read(dataset)
+        return self.source.read(dataset).copy()  # what is kept, or read-only, is not handed out
 
     def of_stresses(self, *names: str, dataset: str = "summary") -> dict[str, FloatArray]:
         """Return columns of the summary, each of shape (n_record, 6), without those of derived quantities.

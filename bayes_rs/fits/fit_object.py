@@ -18,7 +18,7 @@ from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_c
 from bayes_rs.fits.coherence import Coherence, coherence_of
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE, VARIANCES
 from bayes_rs.fits.direction_table import direction_medians, direction_rows
-from bayes_rs.fits.fit_card import fit_card, fit_rows
+from bayes_rs.fits.fit_card import UNREADABLE, fit_card, fit_rows, unreadable_card, unreadable_words
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.fit_options import INFORMATION
 from bayes_rs.fits.frames import FRAMES, lidar_frame
@@ -32,6 +32,7 @@ from bayes_rs.fits.groups import (
     tree_of,
 )
 from bayes_rs.fits.headline import Headline, headline_of
+from bayes_rs.fits.read_only import read_only_dataset
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
@@ -62,19 +63,25 @@ class Fit(FitData):
     loaded : callable
         Returns the records and the draws of the prior.
     place : str
-        The folder, for messages; empty in memory.
+        The folder, a whole path; empty in memory.
     """
 
     def __repr__(self) -> str:
         """Say in a few lines what it is, and what was found."""
         where = f", in {self.place!r}" if self.place else ""
-        counts = f"{self.n_fitted} of {self.n_record} records"
-        first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
-        return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+        try:
+            counts = f"{self.n_fitted} of {self.n_record} records"
+            first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
+            return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+        except UNREADABLE as error:  # what shows itself must not fail
+            return unreadable_words(self, error)
 
     def _repr_html_(self) -> str:
         """Say it in a notebook, with uu of the records."""
-        return fit_card(self)
+        try:
+            return fit_card(self)
+        except UNREADABLE as error:  # as above
+            return unreadable_card(self, error)
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -125,6 +132,7 @@ class Fit(FitData):
         Returns
         -------
         table : DataFrame
+            A table of your own, which you may change: the fit keeps its numbers.
             One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
             sd, median and ends of the interval, m² s⁻² for stresses, with its probability and kind; ``decided``; least
             squares on the same variances and its standard error, NaN for stresses that the beams do not determine;
@@ -182,7 +190,8 @@ class Fit(FitData):
         if as_made:
             if campaign:
                 self._campaign_table(TABLE, [])  # says why there is none
-            return self._of_table(SUMMARY if campaign else VARIANCES if alone else "summary", chosen, shown)
+            dataset = SUMMARY if campaign else VARIANCES if alone else "summary"
+            return self._of_table(dataset, chosen, shown).copy()  # what is kept, or read-only, is not handed out
         table = summarize(self, own["prob"] if prob is None else prob, kind, wanted, frame)
         if chosen is not None:
             table = table[np.isin(table["record"].to_numpy(), chosen)].reset_index(drop=True)
@@ -259,7 +268,7 @@ class Fit(FitData):
         Every row is the posterior of the very number that it names, not an average of the records' posterior means:
         those carry the prior's bias, which does not average out.
         """
-        return self._campaign_table(TABLE)
+        return self._campaign_table(TABLE).copy()
 
     def campaign_hyper(self) -> pd.DataFrame:
         """Return the hyperparameters of the campaign: the distribution that the records' R come from.
@@ -276,7 +285,7 @@ class Fit(FitData):
         InputError
             If there is no campaign; the message says why.
         """
-        return self._campaign_table(HYPER)
+        return self._campaign_table(HYPER).copy()
 
     def campaign_prior(self) -> CampaignPrior:
         """Return the prior that the campaign has learnt.
@@ -413,11 +422,15 @@ class Fit(FitData):
         return {}
 
     def __getitem__(self, name: str) -> Any:
-        """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``."""
+        """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``.
+
+        The arrays are read-only: draws are large, and the fit keeps them.
+        """
         group, _, variable = name.partition("/")
         if group not in self._groups:
-            self._groups[group] = group_of(self, group)
-        return self._groups[group][variable] if variable else self._groups[group]
+            self._groups[group] = read_only_dataset(group_of(self, group))
+        found = self._groups[group].copy(deep=False)
+        return found[variable] if variable else found
 
     def __contains__(self, name: object) -> bool:
         """Say whether there is a group of that name, with draws where it needs them."""
