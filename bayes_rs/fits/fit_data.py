@@ -12,14 +12,14 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_count
+from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import COVARIANCES, PAIRS
 from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
 from bayes_rs.fits.read_only import read_only, read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey, record_number
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.stated_time import stated_times
 
 _BATCH = 128
 """Records whose draws are held at a time."""
@@ -251,13 +251,13 @@ class FitData:
             first = last
         return matrix
 
-    def draws(self, record: int | str | None = None) -> FloatArray:
+    def draws(self, record: RecordKey | None = None) -> FloatArray:
         """Return the posterior's draws of the stresses.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC); by default all records.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time); by default all records.
 
         Returns
         -------
@@ -334,13 +334,13 @@ class FitData:
         beams = [f"beam_{number}" for number in self.scan.beam.tolist()]
         return self._draws_of(np.arange(self.n_record), "predicted", beams)
 
-    def find_record(self, record: int | str) -> int:
+    def find_record(self, record: RecordKey) -> int:
         """Return the number of a fitted record.
 
         Parameters
         ----------
-        record : int or str
-            Number of the record, or its start as ISO time (UTC).
+        record : int, str, datetime, Timestamp or datetime64
+            Number of the record, or its start (UTC; a text is an ISO time).
 
         Returns
         -------
@@ -352,34 +352,12 @@ class FitData:
         InputError
             If there is no such record, or it was not fitted.
         """
-        if isinstance(record, str) and not record.lstrip("-").isdecimal():
-            index = self._at(record)
-        else:
-            index = int(record) if isinstance(record, str) else check_count(record, what="record", minimum=-(2**31))
-            if not 0 <= index < self.n_record:
-                raise InputError(f"No record {index}: there are {self.n_record}, numbered from 0.")
+        index = record_number(record, self.n_record, lambda: self.time)
         if not self.fitted[index]:
             raise InputError(
                 f"Record {index} was not fitted ({flag_words(int(self.flag[index]))}): choose another one."
             )
         return index
-
-    def _at(self, record: str) -> int:
-        stamp = stated_times(pd.Series([record])).dt.tz_localize(None)[0]
-        if pd.isna(stamp):
-            raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.")
-        match = np.flatnonzero(self.time == stamp.to_datetime64())
-        if len(match) > 1:
-            first = ", ".join(map(str, match[:3].tolist()))
-            raise InputError(
-                f"{len(match)} records start at {record}, as those of several turbines do: give a number, as {first}."
-            )
-        if len(match) == 0:
-            first, last = (str(time)[:19] for time in self.time[[0, -1]])
-            earlier = self.time[self.time < stamp.to_datetime64()]
-            near = f"; the last before it at {str(earlier.max())[:19]}" if len(earlier) else ""
-            raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC){near}.")
-        return int(match[0])
 
     def _draws_of(self, record: NDArray[np.int64], dataset: str, names: Sequence[str]) -> FloatArray:
         """Return draws (len(record), n_chain, n_draw, len(names)) of a table with one row a draw."""

@@ -33,6 +33,7 @@ from bayes_rs.fits.groups import (
 )
 from bayes_rs.fits.headline import Headline, headline_of
 from bayes_rs.fits.read_only import read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
@@ -123,9 +124,10 @@ class Fit(FitData):
         information : {"variances", "covariances"}, optional
             By default that of the fit. Of a fit that uses the covariances between beams, or a mast beside, too,
             ``"variances"`` gives what the variances of the beams say by themselves; of these no draws are kept.
-        records : int, slice or array_like, optional
-            Only these records: numbers, a slice of numbers or of starts as ISO times (UTC, the end left out), or a
-            truth value for each record, as ``fit.records["turbine"] == "T07"``. Only their parts are read.
+        records : int, str, datetime, Timestamp, datetime64, slice or array_like, optional
+            Only these records: numbers, starts (UTC; a text is an ISO time; all records that start then), a slice of
+            numbers or of starts (the end left out), or a truth value for each record, as
+            ``fit.records["turbine"] == "T07"``. Only their parts are read.
         columns : sequence of str, optional
             Only these columns, in this order.
 
@@ -370,14 +372,14 @@ class Fit(FitData):
         """
         return lidar_frame(self)
 
-    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
+    def to_datatree(self, record: RecordKey | None = None) -> xr.DataTree:
         """Return the fit in ArviZ's layout, as xarray holds it.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC), for this record alone, without the dimension ``record``
-            and with the beams that it uses; by default all records.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time), for this record alone, without the
+            dimension ``record`` and with the beams that it uses; by default all records.
 
         Returns
         -------
@@ -397,12 +399,12 @@ class Fit(FitData):
             groups = of_one_record(groups, self.find_record(record))
         return tree_of(groups, self.attrs)
 
-    def to_arviz(self, record: int | str | None = None) -> Any:
+    def to_arviz(self, record: RecordKey | None = None) -> Any:
         """Return the fit as the functions of ArviZ take it.
 
         Parameters
         ----------
-        record : int or str, optional
+        record : int, str, datetime, Timestamp or datetime64, optional
             As for `to_datatree`. ArviZ's `loo` needs one: a record's datum is left out of this record alone.
 
         Returns

@@ -20,6 +20,7 @@ from bayes_rs.fits.groups import group_names, has_group, tree_of
 from bayes_rs.fits.headline import Headline, headline_of_ranges
 from bayes_rs.fits.people_table import PeopleRows
 from bayes_rs.fits.read_only import read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
@@ -249,13 +250,13 @@ class RangedFit(Fit):
             )
         )
 
-    def profile(self, record: int | str | None = None) -> pd.DataFrame:
+    def profile(self, record: RecordKey | None = None) -> pd.DataFrame:
         """Return the profile of stresses and turbulence intensity: what all records of each range say together.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC), for the profile of this record alone.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time), for the profile of this record alone.
 
         Returns
         -------
@@ -383,7 +384,7 @@ class RangedFit(Fit):
         """Starts of the records, shape (n_record of one range,)."""
         return next(iter(self.fits.values())).time
 
-    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
+    def to_datatree(self, record: RecordKey | None = None) -> xr.DataTree:
         """Return the fits in ArviZ's layout, with the dimension ``range`` before all others.
 
         Parameters
@@ -497,7 +498,7 @@ class RangedFit(Fit):
         return [*said[:_LISTED], *([f"and {more} more lines: see the fits of the ranges"] if more > 0 else [])]
 
 
-def _record_of(fit: Fit, record: int | str) -> pd.DataFrame:
+def _record_of(fit: Fit, record: RecordKey) -> pd.DataFrame:
     """Return the rows of one record at one range; none if it was not fitted."""
     try:
         number = fit.find_record(record)
