@@ -125,8 +125,8 @@ class _Timing(Table):
 class _Mounting(Table):
     """How the instrument is mounted."""
 
-    tilt_deg: Angle = 0.0
-    yaw_deg: Angle = 0.0
+    tilt_deg: Annotated[float, Field(ge=-90.0, le=90.0, allow_inf_nan=False)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)] = 0.0
 
 
 class _PointProbe(Table):

@@ -87,7 +87,9 @@ def what_differs(data: xr.Dataset, key: str, scan: Scan) -> str:
     mounted: dict[str, Any] = {}
     if "tilt" in data and "motion_count" not in data:
         mounted = {"tilt_deg": float(np.nanmedian(data["tilt"].values))}
-    candidates = [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
+    candidates = []
+    with suppress(InputError):  # a tilt that no scan can have
+        candidates += [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
     with suppress(InputError):  # the name need not mean anything here
         name = str(data.attrs.get("scan", ""))
         candidates += [load_scan(name, **more) for more in ({}, mounted)]
