@@ -124,6 +124,43 @@ class TestOverrides:
     def test_several_focus_distances_make_planes(self):
         assert load_scan("4-beam", focus_distance=[50.0, 100.0]).n_beam == 8
 
+    @pytest.mark.parametrize("name", preset_names("scans"))
+    @pytest.mark.parametrize(
+        "change", ["focus_distance=80", "focus_distance=80+120", "tilt_deg=2,yaw_deg=5,probe=point"]
+    )
+    def test_distance_mounting_and_probe_of_every_preset_can_be_changed(self, name, change):
+        scan, own = load_scan(f"{name}@{change}"), load_scan(name)
+        if "+" in change:
+            assert set(scan.focus_distance) == {80.0, 120.0}
+        elif "focus" in change:
+            assert set(scan.focus_distance) == {80.0}
+            np.testing.assert_allclose(scan.beam_direction, own.beam_direction[: scan.n_beam])
+        else:
+            assert (np.rad2deg([scan.tilt, scan.yaw]), scan.probe) == (pytest.approx([2.0, 5.0]), PointProbe())
+
+    def test_beams_with_distances_of_their_own_take_one_for_all_but_for_planes(self, tmp_path):
+        scan = load_scan("windcube-v2", focus_distance=80.0)
+        own = load_scan("windcube-v2")
+        assert scan.focus_distance.tolist() == [80.0] * 5
+        assert (scan.beam.tolist(), scan.probe) == (own.beam.tolist(), own.probe)
+        assert (
+            load_scan("wls200s-dbs@focus_distance=100").beam_time.tolist()
+            == load_scan("wls200s-dbs").beam_time.tolist()
+        )
+        planes = tmp_path / "planes.toml"
+        save_scan(
+            replace(
+                load_scan("4-beam"),
+                beam_direction=load_scan("4-beam").beam_direction[[0, 0, 1, 1]],
+                focus_distance=[49.0, 98.0, 49.0, 98.0],
+            ),
+            planes,
+        )
+        with pytest.raises(
+            InputError, match=r"^Scan 'planes' gives each beam its own focus_distance, and several to one"
+        ):
+            load_scan(f"{planes}@focus_distance=80")
+
     def test_opening_angle_of_listed_beams_is_refused(self):
         with pytest.raises(InputError, match=r"lists its beams one by one, so opening_angle_deg=20.0 does not apply"):
             load_scan("pulsed-4-beam", opening_angle_deg=20.0)
