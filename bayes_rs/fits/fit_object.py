@@ -427,12 +427,29 @@ class Fit(FitData):
         """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``.
 
         The arrays are read-only: draws are large, and the fit keeps them.
+
+        Raises
+        ------
+        InputError
+            If there is no such group or variable, or it needs draws that were not kept; a fit is no sequence.
         """
+        if not isinstance(name, str):
+            raise InputError(
+                f"Invalid group {in_short(name)} of a fit: give its name, one of {', '.join(group_names(self))}; a fit "
+                "is no sequence: of records, by number or start, there are fit.draws(0) and fit.summary(records=0)."
+            )
         group, _, variable = name.partition("/")
         if group not in self._groups:
             self._groups[group] = read_only_dataset(group_of(self, group))
         found = self._groups[group].copy(deep=False)
-        return found[variable] if variable else found
+        if not variable:
+            return found
+        try:
+            return found[variable]
+        except KeyError as error:
+            known = ", ".join(map(str, found.data_vars))
+            words = f"Unknown variable {variable!r} of the group {group!r} of a fit: it must be one of {known}."
+            raise InputError(words) from error
 
     def __contains__(self, name: object) -> bool:
         """Say whether there is a group of that name, with draws where it needs them."""
