@@ -3,14 +3,17 @@
 import copy
 import pickle
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from fit_scene import OPTIONS, make_records
 
 import bayes_rs as brs
+from bayes_rs.cli.group import commands
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +145,15 @@ class TestPlace:
         assert fit.draws(0).shape == brs.open_fit(folder).draws(0).shape
         assert fit.records.sizes["record"] == 4
         assert brs.write_report(fit).parent == tmp_path / ("new" if how == "fitted" else "there")
+
+    def test_what_is_written_is_told_as_the_folder_was_named(self, folder, tmp_path, monkeypatch):
+        shutil.copytree(folder, tmp_path / "there")
+        monkeypatch.chdir(tmp_path)
+        assert brs.write_report("there") == Path("there/report.html")
+        for words, file in ((["corner", "there"], "corner-0.png"), (["report", "there", "--overwrite"], "report.html")):
+            done = CliRunner().invoke(commands, words)
+            assert done.exit_code == 0
+            assert done.output.strip().splitlines()[-1] == str(Path("there") / file)
 
     def test_a_fit_of_the_same_name_in_another_directory_is_another(self, folder, tmp_path, monkeypatch):
         (tmp_path / "a").mkdir()
