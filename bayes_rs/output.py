@@ -37,6 +37,24 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """What a text begins with that a spreadsheet takes for a formula."""
 
 
+def as_named(file: Path, named: str | Path) -> Path:
+    """Return a file as it is told to who named a folder: from the current directory, if the folder was named so.
+
+    Parameters
+    ----------
+    file : Path
+        The file, a whole path.
+    named : str or Path
+        What the user named.
+
+    Examples
+    --------
+    >>> as_named(Path.cwd() / "year" / "report.html", "year").as_posix()
+    'year/report.html'
+    """
+    return file if Path(named).is_absolute() or not file.is_absolute() else Path(os.path.relpath(file))
+
+
 @contextmanager
 def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a fresh folder to write in, which takes the name `path` once everything in it is written.

@@ -96,6 +96,17 @@ class TestTogether:
         assert (found.n_record, found.n_fitted) == (6, 6)
         assert repr(found).startswith("<RangedFit: 2 of 2 ranges, scan 6-beam")
 
+    def test_a_fit_whose_folder_is_gone_still_shows_itself(self, folder, tmp_path, monkeypatch):
+        shutil.copytree(folder, tmp_path / "there")
+        monkeypatch.chdir(tmp_path)
+        fit = open_fit("there")
+        monkeypatch.chdir("/")
+        assert repr(fit).startswith("<RangedFit: 2 of 2 ranges")
+        fit = open_fit(tmp_path / "there")
+        shutil.rmtree(tmp_path / "there")
+        assert repr(fit).startswith("<RangedFit that cannot be read, scan 6-beam, in ")
+        assert "RangedFit that cannot be read" in fit._repr_html_()
+
     def test_the_profile_has_intensity_and_stresses_of_each_range(self, found):
         table = found.profile()
         assert table["quantity"].tolist() == ["ti", "uu", "vv", "ww", "uv", "uw", "vw"] * 2

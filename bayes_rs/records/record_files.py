@@ -122,6 +122,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
                 "latter anew with --turbine NAME, or fit them separately."
             )
     if len(found) == 1:
+        check_starts(first, "give every record once")
         return first
     joined = xr.concat(
         found,
