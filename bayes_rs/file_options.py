@@ -59,6 +59,7 @@ class FileOptions:
     What is None, or an empty mapping, is not said. An option that is said counts before the scan's own ``[file]``
     table, which counts before the default of the file's format, which counts before the general default: positive
     away, m/s, UTC, comma and point, no invalid value, times as they stand, rays within 1 degree, phase from 0 upwards.
+    An option that is said and that no reader of the files uses is refused where they are read.
 
     ``columns`` names ``time``, ``beam``, ``radial_velocity``, ``cnr``, ``status`` and ``range``, the distance along
     the beam in m: of a table with several, the rows at the scan's distances are read. In files of rays it also names

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bayes_rs.errors import InputError
@@ -302,6 +302,19 @@ def _clear(old: Path, final: Path) -> None:
 def cannot_write(what: str, final: Path, error: OSError, advice: str) -> InputError:
     """Say in one line what cannot be written, and why."""
     return InputError(f"Cannot write {what}{str(final)!r}: {error.strerror or error}; {advice}.")
+
+
+@contextmanager
+def no_parents_left(place: Path) -> Iterator[None]:
+    """Remove the folders above a place again that the block makes, if it fails and they hold nothing."""
+    fresh = [parent for parent in place.parents if not os.path.lexists(parent)]
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # the first that holds something, or was never made
+            for parent in fresh:
+                parent.rmdir()
+        raise
 
 
 def make_folder(place: Path, *, prefix: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +11,8 @@ from bayes_rs.errors import InputError, did_you_mean, in_short, plain_name
 from bayes_rs.toml_file import read_toml
 
 _PACKAGE = Path(__file__).resolve().parent
+_KINDS = {"scans": ("scan", "6-beam"), "turbulence": ("turbulence", "fu-2022")}
+"""What the presets of a kind are, one by one, and the name of one."""
 
 
 def models_folder(kind: str) -> Path:
@@ -41,6 +44,27 @@ def preset_names(kind: str) -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in models_folder(kind).glob("*.toml")))
 
 
+def check_is_name(name: object, kind: str) -> None:
+    """Refuse what is neither a text nor a path where a model is named, such as records in place of their scan.
+
+    Parameters
+    ----------
+    name : object
+        What was given.
+    kind : str
+        ``"scans"`` or ``"turbulence"``.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if not isinstance(name, (str, Path)):
+        what, example = _KINDS[kind]
+        value = in_short(name) if isinstance(name, (bool, int, float, type(None))) else f"of type {type(name).__name__}"
+        raise InputError(f"Invalid {what} {value}: it must be a {what}, its name, as {example!r}, or its TOML file.")
+
+
 def find_model(name: str | Path, kind: str) -> Path:
     """Return the TOML file that `name` means: a path to a file, or the name of a shipped preset.
 
@@ -60,11 +84,12 @@ def find_model(name: str | Path, kind: str) -> Path:
     Raises
     ------
     InputError
-        If there is no such file or preset.
+        If there is no such file or preset, or it is no name.
     """
+    check_is_name(name, kind)
     if str(name).endswith(".toml"):
         path = Path(name)
-        if not path.is_file():
+        if not os.path.isfile(path):  # noqa: PTH113 - of a name that no file can have, Path.is_file raises
             raise InputError(
                 f"No file {in_short(str(path))}: give the path of a TOML file, or one of the names in models/{kind}."
             )
@@ -120,12 +145,13 @@ def demo_file(name: str) -> Path:
     >>> demo_file("6-beam").name
     '6-beam.parquet'
     """
-    path = models_folder("demo") / f"{name}.parquet"
-    if not path.is_file():
-        names = ", ".join(sorted(file.stem for file in models_folder("demo").glob("*.parquet")))
-        close = did_you_mean(name, names.split(", "))
-        raise InputError(f"No embedded data {in_short(name)}: use one of {names}{f'; {close}' if close else '.'}")
-    return path
+    files = {file.stem: file for file in models_folder("demo").glob("*.parquet")}
+    if not isinstance(name, str) or name not in files:
+        close = did_you_mean(name, files)
+        raise InputError(
+            f"No embedded data {in_short(name)}: use one of {', '.join(sorted(files))}{f'; {close}' if close else '.'}"
+        )
+    return files[name]
 
 
 class _Presets:

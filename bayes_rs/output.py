@@ -20,6 +20,7 @@ from bayes_rs.folder_place import (
     check_place,
     finish_replacing,
     make_folder,
+    no_parents_left,
     replaced_of,
     take_place,
 )
@@ -36,6 +37,24 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """What a text begins with that a spreadsheet takes for a formula."""
 
 
+def as_named(file: Path, named: str | Path) -> Path:
+    """Return a file as it is told to who named a folder: from the current directory, if the folder was named so.
+
+    Parameters
+    ----------
+    file : Path
+        The file, a whole path.
+    named : str or Path
+        What the user named.
+
+    Examples
+    --------
+    >>> as_named(Path.cwd() / "year" / "report.html", "year").as_posix()
+    'year/report.html'
+    """
+    return file if Path(named).is_absolute() or not file.is_absolute() else Path(os.path.relpath(file))
+
+
 @contextmanager
 def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a fresh folder to write in, which takes the name `path` once everything in it is written.
@@ -50,7 +69,8 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
     Yields
     ------
     folder : Path
-        Where to write. If the block fails, what it has written is kept in this folder, and the error says where.
+        Where to write. If the block fails, what it has written is kept in this folder, and the error says where; if
+        that is nothing, no folder that was made above it stays.
 
     Raises
     ------
@@ -63,7 +83,7 @@ def output_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path
         alone = _alone(final, overwrite=overwrite)
     except OSError as error:
         raise cannot_write("the output folder ", final, error, "give a folder that can be written") from error
-    with alone, _fresh_folder(final, overwrite=overwrite) as part:
+    with alone, no_parents_left(final), _fresh_folder(final, overwrite=overwrite) as part:
         yield part
 
 
@@ -118,7 +138,7 @@ def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[s
     Yields
     ------
     file : Path
-        Where to write.
+        Where to write. If the block fails, nothing stays, nor do the folders that were made above it.
 
     Raises
     ------
@@ -126,6 +146,12 @@ def output_file(path: str | Path, *, overwrite: bool = False, inputs: Iterable[s
         If the file exists and may not be replaced, is one of the inputs, or cannot be written.
     """
     final = Path(path)
+    with no_parents_left(final), _fresh_file(final, overwrite=overwrite, inputs=inputs) as part:
+        yield part
+
+
+@contextmanager
+def _fresh_file(final: Path, *, overwrite: bool, inputs: Iterable[str | Path]) -> Iterator[Path]:
     try:
         _check_no_file(final, overwrite=overwrite)
         check_is_no_input(final, inputs)

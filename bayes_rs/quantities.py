@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import pi
 from typing import NamedTuple
 
 DAY = 86_400.0
@@ -24,8 +25,8 @@ class Limits(NamedTuple):
     usual: str = ""
 
 
-_ANGLE_DEG = Limits(-1e5, 1e5, "-180 to 180 are usual")
-_ANGLE = Limits(-2e3, 2e3, "it is in radians, so -3.2 to 3.2 are usual")
+_ANGLE_DEG = Limits(-360.0, 360.0, "-180 to 180 are usual")
+_RADIANS = "it is in radians: np.deg2rad makes them of degrees"
 _LENGTH = Limits(1e-9, 1e6)
 _LOG_SD = Limits(1e-6, 3.0, "0.1 to 1 are usual")
 _SD_DEG = Limits(1e-6, 180.0, "1 to 5 are usual")
@@ -78,9 +79,9 @@ LIMITS: dict[str, Limits] = {
     "pulse_length": Limits(1e-18, 1e6, "20 to 60 are usual"),
     "spacing": Limits(1e-3, 1e6),
     "record_length": Limits(1e-3, 1e9),
-    "tilt": _ANGLE,
-    "yaw": _ANGLE,
-    "tilt_deg": _ANGLE_DEG,
+    "tilt": Limits(-0.5 * pi, 0.5 * pi, _RADIANS),
+    "yaw": Limits(-2.0 * pi, 2.0 * pi, _RADIANS),
+    "tilt_deg": Limits(-90.0, 90.0, "-10 to 10 are usual"),
     "yaw_deg": _ANGLE_DEG,
     "heading_deg": _ANGLE_DEG,
     "phase_zero_deg": _ANGLE_DEG,

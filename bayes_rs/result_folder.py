@@ -154,6 +154,10 @@ class ResultFolder:
         return found
 
     def _unusable(self, name: str, reason: str) -> InputError:
+        if self.final is None and not self.path.is_dir():
+            return InputError(
+                f"Folder {str(self.path)!r} was moved or removed after it was opened: open it where it is now."
+            )
         return InputError(f"File {str(self.path / name)!r} {reason}: resume the fit to make it again.")
 
     def write(self, name: str, writer: Callable[[Path], object]) -> None:

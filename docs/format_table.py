@@ -4,7 +4,7 @@ from bayes_rs.readers.interface import Reader
 from bayes_rs.readers.registry import READERS
 
 MARK = "% the table of formats stands here, made from the registry of readers"
-HEAD = ("`file_format`", "files", "sign", "time stamp", "zone", "invalid", "status", "source")
+HEAD = ("`file_format`", "files", "sign", "time stamp", "zone", "invalid", "status", "source", "options of its own")
 
 
 def format_table() -> str:
@@ -27,4 +27,5 @@ def _row(reader: Reader) -> tuple[str, ...]:
         f"{min(invalid):g} to {max(invalid):g}" if invalid else "none",
         (own if reader.name == "netcdf" else "") + (f"{status:g} is good" if status is not None else "–"),
         reader.source,
+        "all" if reader.uses is None else ", ".join(f"`{name}`" for name in sorted(reader.uses)),
     )

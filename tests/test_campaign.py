@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from bayes_rs import InputError
-from bayes_rs.campaign import CampaignPosterior, campaign_table, prior_from_stresses, small_matrices
+from bayes_rs.campaign import CampaignPosterior, campaign_table, hyperprior, prior_from_stresses, small_matrices
 from bayes_rs.campaign.cells import make_cells, size_correlation, speed_bin
 from bayes_rs.campaign.conjugate import means_posterior, sums_of
 from bayes_rs.campaign.hyperprior import (
@@ -20,6 +20,10 @@ from bayes_rs.campaign.hyperprior import (
     group_root,
     log_density_of_scatter,
     mean_root,
+    row_of_scores,
+    scatter_odds,
+    scatter_of_odds,
+    scores_of_row,
 )
 from bayes_rs.campaign.learning import hyper_values, learnt_prior
 from bayes_rs.campaign.record_choice import choose_records
@@ -154,6 +158,39 @@ class TestHyperprior:
             assert stats.ks_2samp(walked[:, i, i], drawn[:, i, i]).pvalue > 1e-4
         assert stats.ks_2samp(walked[:, 0, 1], drawn[:, 0, 1]).pvalue > 1e-4
         assert stats.ks_2samp(np.linalg.det(walked), np.linalg.det(drawn)).pvalue > 1e-4
+
+
+class TestMovesOfScatter:
+    """What the moves of Σ that carry the records along are made of."""
+
+    def test_scores_of_a_row_are_normal_and_lead_back(self):
+        rng = np.random.default_rng(16)
+        scatter = hyperprior._draw_untruncated(20_000, rng)
+        order = np.array([3, 0, 5, 4, 1, 2])  # any: the hyperprior has no order
+        lower = np.linalg.cholesky(scatter[:, order[:, None], order])
+        score = scores_of_row(lower[:, -1])
+        np.testing.assert_allclose(row_of_scores(score), lower[:, -1], rtol=1e-7, atol=1e-10)
+        for column in score.T:
+            assert stats.kstest(column, "norm").pvalue > 1e-4
+        above = lower[:, np.tril_indices(5)[0], np.tril_indices(5)[1]]
+        both = np.corrcoef(np.concatenate([score, above], axis=1).T)
+        off = both[:6] - np.eye(6, both.shape[1])
+        assert np.abs(off).max() < 5.0 / np.sqrt(20_000)
+
+    def test_odds_lead_back_and_have_the_volume_that_they_say(self):
+        scatter = draw_scatter(5, np.random.default_rng(17))
+        odds = scatter_odds(scatter)
+        found, volume = scatter_of_odds(odds)
+        np.testing.assert_allclose(found, scatter, rtol=1e-9, atol=1e-12)
+        lower = np.tril_indices(6)
+        jacobian = np.empty((5, 21, 21))
+        for place, (i, j) in enumerate(zip(*lower, strict=True)):
+            step = np.zeros((6, 6))
+            step[i, j] = step[j, i] = 1e-6
+            above, below = scatter_of_odds(odds + step)[0], scatter_of_odds(odds - step)[0]
+            jacobian[:, :, place] = ((above - below) / 2e-6)[:, lower[0], lower[1]]
+        want = np.linalg.slogdet(jacobian)[1] - 21.0 * np.log(MOST_SCATTER)
+        np.testing.assert_allclose(volume, want, rtol=1e-5, atol=1e-5)  # of the differences
 
 
 class TestConjugate:

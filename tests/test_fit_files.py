@@ -166,7 +166,7 @@ class TestInterruptions:
 
     def test_files_that_were_read_are_not_read_again(self, files, noise, tmp_path, monkeypatch):
         read = []
-        stream = record_store.stream
+        stream = record_store.stream_files
 
         def failing(paths, *arguments, **options):
             if options["chunk_rows"] != record_store._PEEK:
@@ -175,7 +175,7 @@ class TestInterruptions:
                     raise KeyboardInterrupt
             return stream(paths, *arguments, **options)
 
-        monkeypatch.setattr(record_store, "stream", failing)
+        monkeypatch.setattr(record_store, "stream_files", failing)
         with pytest.raises(KeyboardInterrupt) as caught:
             run(files, tmp_path / "out", noise)
         assert "goes on from there" in caught.value.__notes__[0]
@@ -346,7 +346,7 @@ class TestBadFiles:
         def full(*_args, **_options):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(record_store, "stream", full)
+        monkeypatch.setattr(record_store, "stream_files", full)
         store = begin_result_folder(tmp_path / "store", key="k", key_parts={})
         with pytest.raises(OSError, match="No space left"), store as folder:
             record_store.store_records(files, SCAN, folder, duration=DURATION)
@@ -362,7 +362,7 @@ class TestLateSamples:
         )
         chunks = [shuffled.isel(sample=slice(start, start + 50)) for start in range(0, shuffled.sizes["sample"], 50)]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(record_store, "stream", lambda *_args, **_options: iter(chunks))
+            patch.setattr(record_store, "stream_files", lambda *_args, **_options: iter(chunks))
             write_file(tmp_path / "year" / "a.csv", shuffled)
             run(tmp_path / "year", tmp_path / "out", noise)
         assert json.loads((tmp_path / "out" / "run.json").read_text())["samples_late"] == 20

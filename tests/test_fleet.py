@@ -108,6 +108,28 @@ class TestTurbines:
         with pytest.raises(InputError, match=r"^6 records start at the same time as another, .*give every record once"):
             fit(xr.concat([records, records], "record"), SCAN, **PLAIN)
 
+    def test_records_of_which_some_have_no_start_are_refused(self, turbines, tmp_path):
+        records = turbines[0].isel(record=slice(4))
+        time = records["time"].values.copy()
+        time[[1, 3]] = np.datetime64("NaT")
+        broken = records.assign_coords(time=("record", time))
+        words = (
+            r"^Invalid records: 2 of 4 have no start \(time NaT\), the first is record 1: give each its start, leave"
+        )
+        with pytest.raises(InputError, match=words):
+            fit(broken, SCAN, **PLAIN)
+        broken.to_netcdf(tmp_path / "broken.nc")
+        with pytest.raises(InputError, match=words):
+            open_record_files([tmp_path / "broken.nc"], SCAN)
+        assert fit(records.drop_vars("time"), SCAN, **PLAIN).n_fitted == 4
+
+    def test_a_record_twice_in_one_file_is_refused(self, turbines, tmp_path):
+        turbines[0].isel(record=[0, 1, 1]).to_netcdf(tmp_path / "twice.nc")
+        with pytest.raises(
+            InputError, match=r"^1 records start at the same time as another, .*give every record once\.$"
+        ):
+            open_record_files([tmp_path / "twice.nc"], SCAN)
+
     def test_records_without_a_name_are_told_how_to_get_one(self, turbines, tmp_path):
         for name in ("a.nc", "b.nc"):
             turbines[0].drop_vars("turbine").to_netcdf(tmp_path / name, engine="h5netcdf")

@@ -27,11 +27,13 @@ from ray_files import six_beam
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.scan_file import load_scan
-from bayes_rs.readers import READERS, read, read_statistics
+from bayes_rs.readers import READERS, find_scan, read, read_statistics
 from bayes_rs.readers.compressed import plain_suffix
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.halo import halo_rays
+from bayes_rs.readers.looking import look
 from bayes_rs.records.making import make_records
+from bayes_rs.records.record_files import open_records
 from bayes_rs.simulation.virtual import simulate
 from bayes_rs.turbulence.mann import load_turbulence
 
@@ -145,6 +147,54 @@ class TestCompressed:
         assert [plain_suffix(Path(name)) for name in ("a.NC.GZ", "a.csv", "a.b.parquet", "a.gz", "a")] == [
             ".nc", ".csv", ".parquet", "", "",
         ]  # fmt: skip
+
+
+class TestContentBeforeName:
+    """A Parquet or NetCDF file is known by how it begins, whatever it is called."""
+
+    @pytest.mark.parametrize("name", ["day.csv", "day.txt", "day.nc", "day.hpl", "day.dat", "day", "day.csv.gz"])
+    @pytest.mark.parametrize("kind", [".parquet", ".nc"])
+    def test_same_series(self, tmp_path, six, kind, name):
+        right = tmp_path / f"right{kind}"
+        if kind == ".nc":
+            six.to_netcdf(right)
+        else:
+            long_frame(six).to_parquet(right)
+        named = right.rename(tmp_path / name.removesuffix(".gz"))
+        file = compress(named, ".gz") if name.endswith(".gz") else named
+        assert_same(read(file, SIX), six)
+        assert report_of(read(file, SIX))["files"][0]["format"] == {".nc": "netcdf", ".parquet": "long"}[kind]
+
+    @pytest.mark.parametrize("heading", ["PAR1", "CDF", "CDF1"])
+    def test_a_text_that_begins_so_is_text(self, tmp_path, six, heading):
+        frame = long_frame(six)
+        frame.insert(0, heading, 1.0)
+        frame.to_csv(tmp_path / "a.csv", index=False)
+        assert_same(read(tmp_path / "a.csv", SIX), six)
+
+    def test_a_look(self, tmp_path, six):
+        long_frame(six).to_parquet(tmp_path / "day.csv")
+        assert "format: a table, 4 columns" in look(tmp_path / "day.csv").lines[1]
+        six.to_netcdf(tmp_path / "day.txt")
+        assert "format: NetCDF without rays" in look(tmp_path / "day.txt").lines[1]
+
+    def test_records(self, tmp_path, simulated):
+        scan = load_scan("6-beam")
+        records = make_records(simulated, scan)
+        records.to_netcdf(tmp_path / "records.dat")
+        found = open_records(tmp_path / "records.dat", scan)
+        np.testing.assert_array_equal(found["variance"], records["variance"])
+
+    def test_rays(self, tmp_path):
+        rays = {
+            "azimuth": ("time", [0.0, 90.0, 180.0] * 4),
+            "elevation": ("time", [60.0] * 12),
+            "range": ("gate", [100.0, 120.0]),
+            "radial_wind_speed": (("time", "gate"), np.ones((12, 2))),
+        }
+        times = ("time", np.arange(12.0), {"units": "seconds since 2021-05-13"})
+        xr.Dataset(rays, coords={"time": times}).to_netcdf(tmp_path / "a.csv", engine="h5netcdf")
+        assert find_scan(tmp_path / "a.csv", distance=120.0).n_beam == 3
 
 
 class TestHalo:

@@ -436,8 +436,13 @@ class TestFiles:
         scan = replace(brs.load_scan("2-beam"), **{key: np.array(value) for key, value in change.items()})
         file = brs.save_scan(scan, tmp_path / "x.toml")
         assert brs.load_scan(file).key == scan.key
-        with pytest.raises(brs.InputError, match="both for all beams and for each"):
-            brs.load_scan(file, focus_distance=70.0)
+        if "focus_distance" in change and "beam_direction" in change:
+            with pytest.raises(
+                brs.InputError, match=r"to one direction, so focus_distance=70\.0 of all does not apply: wri"
+            ):
+                brs.load_scan(file, focus_distance=70.0)
+        else:
+            assert brs.load_scan(file, focus_distance=70.0).focus_distance.tolist() == [70.0, 70.0]
 
     def test_refusals(self, tmp_path):
         scan = brs.load_scan("2-beam-planes")

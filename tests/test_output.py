@@ -216,6 +216,20 @@ class TestFile:
         assert regular_file.read_text() == "text"
         assert list(regular_file.parent.iterdir()) == [regular_file]
 
+    @pytest.mark.parametrize("writing", [output_file, output_folder])
+    def test_a_failure_leaves_no_folder_above_it(self, writing, tmp_path):
+        (tmp_path / "there").mkdir()
+        with pytest.raises(ValueError, match="bad"), writing(tmp_path / "there" / "new" / "deep" / "x"):
+            raise ValueError("bad")
+        assert list(tmp_path.iterdir()) == [tmp_path / "there"]
+        assert not list((tmp_path / "there").iterdir())
+
+    def test_a_folder_above_it_that_holds_something_stays(self, tmp_path):
+        with pytest.raises(ValueError, match="bad"), output_file(tmp_path / "new" / "deep" / "x.txt"):  # noqa: PT012 - it fails at the end of the block
+            (tmp_path / "new" / "other.txt").write_text("of someone else")
+            raise ValueError("bad")
+        assert [path.name for path in (tmp_path / "new").iterdir()] == ["other.txt"]
+
     def test_a_place_that_cannot_be_written_is_named(self, regular_file):
         message = r"Cannot write '.*file/a.txt': .*; give a place that can be written\."
         with pytest.raises(InputError, match=message):

@@ -12,13 +12,14 @@ import bayes_rs as brs
 from bayes_rs import STRESSES, InputError, fit, load_scan
 from bayes_rs.intervals import INTERVALS, interval_of
 from bayes_rs.pictures import POSTERIOR_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
+from bayes_rs.plot import stresses_plot
 from bayes_rs.plot.corner_plot import corner, corner_limits, default_limits, prior_at_size
 from bayes_rs.plot.stresses_plot import stresses
 
 TRUTH = np.array([1.0, 0.6, 0.4, 0.1, -0.2, 0.05])
 
 
-def fitted(n_record, *, broken=(), timed=True):
+def fitted(n_record, *, broken=(), timed=True, kept=None, turbines=None):
     scan = load_scan("6-beam")
     noise = plain_noise(scan)
     rng = np.random.default_rng(41)
@@ -27,7 +28,23 @@ def fitted(n_record, *, broken=(), timed=True):
         records["flag"][record] = 1
     if not timed:
         records = records.drop_vars("time")
+    if kept is not None:
+        records = records.isel(record=list(kept))
+    if turbines is not None:
+        records = records.assign(turbine=("record", list(turbines)))
     return fit(records, scan, noise=noise, seed=1, target_ess=200)
+
+
+def drawn_between(axis, one, other):
+    """Whether a line or a face of a panel is drawn at some place between two."""
+    one, other = (float(axis.convert_xunits(place)) for place in (one, other))
+    for line in axis.lines:
+        x, y = line.get_xdata(orig=False), np.asarray(line.get_ydata(orig=False), dtype=float)
+        reach = np.isfinite(y[1:]) & np.isfinite(y[:-1]) & (line.get_linestyle() != "None")
+        if line.get_transform() == axis.transData and np.any(reach & (x[:-1] < other) & (x[1:] > one)):
+            return True
+    paths = [path.vertices[:, 0] for face in axis.collections for path in face.get_paths() if len(path.vertices) > 2]
+    return any(x.min() < other and x.max() > one for x in paths)
 
 
 @pytest.fixture(scope="module")
@@ -289,6 +306,35 @@ class TestStresses:
         marks = np.concatenate([line.get_xdata() for line in axis.lines if line.get_marker() == "o"])
         assert set(marks) == {0.0, 1.0, 3.0}
         assert isinstance(stresses(result).axes[-1].xaxis.get_major_formatter(), mdates.ConciseDateFormatter)
+
+    @pytest.mark.parametrize("truth", [None, TRUTH])
+    def test_nothing_is_drawn_across_a_time_without_records(self, truth):
+        found = fitted(8, kept=[0, 1, 4, 5, 7])
+        figure = stresses(found, truth=truth)
+        for axis in figure.axes:
+            of_time = dict(zip([0, 1, 4, 5, 7], found.time, strict=True))
+            assert drawn_between(axis, of_time[0], of_time[1])
+            assert drawn_between(axis, of_time[4], of_time[5])
+            assert not drawn_between(axis, of_time[1], of_time[4])
+            assert not drawn_between(axis, of_time[5], of_time[7])
+            assert len(axis.containers) == 1  # the last record has no neighbour, and stands as a point with bars
+
+    def test_records_that_all_stand_apart_are_points(self):
+        figure = stresses(fitted(6, kept=[0, 5]))
+        assert [len(axis.containers[0].lines[0].get_xdata()) for axis in figure.axes[:1]] == [2]
+
+    def test_nothing_is_drawn_from_one_turbine_to_the_next(self):
+        axis = stresses(fitted(4, turbines="AABB", timed=False)).axes[0]
+        assert drawn_between(axis, 0, 1)
+        assert not drawn_between(axis, 1, 2)
+        assert drawn_between(axis, 2, 3)
+
+    def test_of_many_records_a_gap_shorter_than_a_point_is_none(self, monkeypatch):
+        monkeypatch.setattr(stresses_plot, "MOST_POINTS", 4)
+        found = fitted(20, kept=[0, 1, 3, 4, 5, 6, 15, 16, 17])
+        axis = stresses(found).axes[0]  # three to a point
+        assert drawn_between(axis, found.time[0], found.time[3])
+        assert not drawn_between(axis, found.time[3], found.time[6])
 
     def test_title_says_what_the_scan_sees(self, figure):
         assert figure.get_suptitle() == "6-beam: sees all six stresses; prior weak"

@@ -287,6 +287,35 @@ class TestWhatIsTaken:
             with pytest.raises(bayes_rs.InputError, match=words):
                 call()
 
+    @pytest.mark.parametrize("name", ["scan", "turbulence"])
+    def test_what_names_no_scan_and_no_turbulence_is_refused_in_one_line(self, name, tmp_path):
+        series = bayes_rs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=1, seed=1)
+        records = bayes_rs.make_records(series, "2-beam").assign_attrs(comment=f"{'x' * 300}@{'y' * 300}")
+        calls = {
+            "scan": (
+                bayes_rs.plot.scan,
+                bayes_rs.load_scan,
+                lambda what: bayes_rs.make_records(series, what),
+                lambda what: bayes_rs.fit(records, what, seed=1),
+                lambda what: bayes_rs.simulate(what, "fu-2022", wind_speed=10.0, n_records=1, seed=1),
+                lambda what: bayes_rs.save_scan(what, tmp_path / "a.toml"),
+            ),
+            "turbulence": (
+                bayes_rs.load_turbulence,
+                lambda what: bayes_rs.simulate("2-beam", what, wind_speed=10.0, n_records=1, seed=1),
+            ),
+        }
+        for call in calls[name]:
+            for what in (records, records["variance"], records.to_dataframe(), records["variance"].values, None):
+                with pytest.raises(
+                    bayes_rs.InputError, match=rf"^Invalid {name} [^\n]{{0,100}}: it must be a"
+                ) as caught:
+                    call(what)
+                assert len(str(caught.value)) < 150
+        for call in calls[name][:1]:
+            with pytest.raises(bayes_rs.InputError, match=r"^No file 'x+\.\.\.x+\.toml': give the path"):
+                call(f"{'x' * 300}.toml")
+
     def test_results_are_a_few_lines(self):
         series = bayes_rs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=2, seed=1)
         noise = bayes_rs.noise.calibrate("2-beam", wind_speed=10.0, cache=False)

@@ -96,6 +96,17 @@ class TestTogether:
         assert (found.n_record, found.n_fitted) == (6, 6)
         assert repr(found).startswith("<RangedFit: 2 of 2 ranges, scan 6-beam")
 
+    def test_a_fit_whose_folder_is_gone_still_shows_itself(self, folder, tmp_path, monkeypatch):
+        shutil.copytree(folder, tmp_path / "there")
+        monkeypatch.chdir(tmp_path)
+        fit = open_fit("there")
+        monkeypatch.chdir("/")
+        assert repr(fit).startswith("<RangedFit: 2 of 2 ranges")
+        fit = open_fit(tmp_path / "there")
+        shutil.rmtree(tmp_path / "there")
+        assert repr(fit).startswith("<RangedFit that cannot be read, scan 6-beam, in ")
+        assert "RangedFit that cannot be read" in fit._repr_html_()
+
     def test_the_profile_has_intensity_and_stresses_of_each_range(self, found):
         table = found.profile()
         assert table["quantity"].tolist() == ["ti", "uu", "vv", "ww", "uv", "uw", "vw"] * 2
@@ -326,3 +337,17 @@ class TestCommands:
         assert (result.exit_code, result.output.strip()) == (0, str(place / "range-98m" / "corner-0.png"))
         result = CliRunner().invoke(commands, ["corner", str(place / "range-98m"), "--range", "98"])
         assert "is of one range" in str(result.exception)
+
+
+def test_spikes_at_one_range_are_told_in_the_headline():
+    """A doubt that says what to do is said once, with the number of ranges."""
+    series, ranged = series_at(DISTANCES)
+    rng = np.random.default_rng(1)
+    bad = (series["range"].values == DISTANCES[-1]) & (rng.random(series.sizes["sample"]) < 0.01)
+    random = rng.uniform(-30.0, 30.0, series.sizes["sample"])
+    records = make_records(series.assign(radial_velocity=series["radial_velocity"].where(~bad, random)), ranged.of_one)
+    fitted = fit(records, SCAN, seed=3, draws="none", **QUICK)
+    doubtful = fitted.headline().doubtful
+    assert f"at 1 of {len(DISTANCES)} ranges, as " in doubtful
+    assert doubtful.count("despike='median'") == 1
+    assert sum("despike='median'" in line for line in fitted.failures) == 1

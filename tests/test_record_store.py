@@ -201,6 +201,6 @@ class TestBadFiles:
             raise ValueError("no such thing")
             yield
 
-        monkeypatch.setattr(record_store, "stream", failing)
+        monkeypatch.setattr(record_store, "stream_files", failing)
         with pytest.raises(InputError, match=r"File '.*0.csv' cannot be used: ValueError: no such thing"):
             store(files)

@@ -13,6 +13,11 @@ from bayes_rs.fits.flags import FLAGS, flag_words
 from bayes_rs.priors.ratio import WeakPrior
 
 
+def iter_once(fit):
+    """Take the first of what a loop over a fit would give."""
+    return next(iter(fit))
+
+
 @pytest.fixture(scope="module")
 def scene():
     """Three records: 0 as it should be, 1 without a beam, 2 with one beam fewer."""
@@ -175,6 +180,17 @@ class TestRefusals:
         ):
             result["likelihood"]
         assert "likelihood" not in result
+        with pytest.raises(
+            InputError, match=r"^Unknown variable 'nope' of the group 'prior' of a fit: it must be one of s"
+        ):
+            result["prior/nope"]
+
+    @pytest.mark.parametrize("ask", [lambda fit: fit[0], lambda fit: fit[1:], lambda fit: fit[None], list, iter_once])
+    def test_a_fit_is_no_sequence_of_records_and_says_so(self, result, ask):
+        with pytest.raises(
+            InputError, match=r"^Invalid group .* of a fit: give its name, one of posterior, .*; a fit is no"
+        ):
+            ask(result)
 
     def test_draws_that_were_not_kept(self, scene):
         scan, noise, records = scene

@@ -16,6 +16,7 @@ from bayes_rs.geometry.scan_writing import save_scan
 from bayes_rs.models import models_folder, preset_names
 
 ANGLE = st.floats(-np.pi, np.pi)
+TILT = st.floats(-0.5 * np.pi, 0.5 * np.pi)
 
 
 class TestGeometry:
@@ -35,7 +36,7 @@ class TestGeometry:
         np.testing.assert_allclose(tilt_matrix(0.3), [[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]], rtol=1e-15)
         np.testing.assert_allclose(yaw_matrix(0.3), [[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], rtol=1e-15)
 
-    @given(ANGLE, ANGLE, st.floats(0.0, np.pi / 2), ANGLE)
+    @given(TILT, ANGLE, st.floats(0.0, np.pi / 2), ANGLE)
     def test_lines_of_sight_are_unit_vectors_at_any_mounting(self, tilt, yaw, opening, phase):
         scan = Scan(
             "one",
@@ -122,6 +123,43 @@ class TestOverrides:
 
     def test_several_focus_distances_make_planes(self):
         assert load_scan("4-beam", focus_distance=[50.0, 100.0]).n_beam == 8
+
+    @pytest.mark.parametrize("name", preset_names("scans"))
+    @pytest.mark.parametrize(
+        "change", ["focus_distance=80", "focus_distance=80+120", "tilt_deg=2,yaw_deg=5,probe=point"]
+    )
+    def test_distance_mounting_and_probe_of_every_preset_can_be_changed(self, name, change):
+        scan, own = load_scan(f"{name}@{change}"), load_scan(name)
+        if "+" in change:
+            assert set(scan.focus_distance) == {80.0, 120.0}
+        elif "focus" in change:
+            assert set(scan.focus_distance) == {80.0}
+            np.testing.assert_allclose(scan.beam_direction, own.beam_direction[: scan.n_beam])
+        else:
+            assert (np.rad2deg([scan.tilt, scan.yaw]), scan.probe) == (pytest.approx([2.0, 5.0]), PointProbe())
+
+    def test_beams_with_distances_of_their_own_take_one_for_all_but_for_planes(self, tmp_path):
+        scan = load_scan("windcube-v2", focus_distance=80.0)
+        own = load_scan("windcube-v2")
+        assert scan.focus_distance.tolist() == [80.0] * 5
+        assert (scan.beam.tolist(), scan.probe) == (own.beam.tolist(), own.probe)
+        assert (
+            load_scan("wls200s-dbs@focus_distance=100").beam_time.tolist()
+            == load_scan("wls200s-dbs").beam_time.tolist()
+        )
+        planes = tmp_path / "planes.toml"
+        save_scan(
+            replace(
+                load_scan("4-beam"),
+                beam_direction=load_scan("4-beam").beam_direction[[0, 0, 1, 1]],
+                focus_distance=[49.0, 98.0, 49.0, 98.0],
+            ),
+            planes,
+        )
+        with pytest.raises(
+            InputError, match=r"^Scan 'planes' gives each beam its own focus_distance, and several to one"
+        ):
+            load_scan(f"{planes}@focus_distance=80")
 
     def test_opening_angle_of_listed_beams_is_refused(self):
         with pytest.raises(InputError, match=r"lists its beams one by one, so opening_angle_deg=20.0 does not apply"):
@@ -398,6 +436,54 @@ class TestScanObject:
     def test_beam_time_outside_the_scan_is_refused(self):
         with pytest.raises(InputError, match=r"Invalid beam_time in scan 'x': every time must be in \[0, 1\) s"):
             Scan("x", np.array([[-1.0, 0, 0]]), np.array([5.0]), np.array([1.0]), 1.0)
+
+    @pytest.mark.parametrize(
+        ("made", "message"),
+        [
+            (lambda scan: scan.with_yaw(20), r"^Invalid yaw 20 rad in scan '6-beam': it must be from -6\.28319 to "),
+            (
+                lambda scan: replace(scan, yaw=10.0),
+                r"^Invalid yaw 10\.0 rad in scan '6-beam': it must be .*np\.deg2rad",
+            ),
+            (
+                lambda scan: replace(scan, tilt=5),
+                r"^Invalid tilt 5 rad in scan '6-beam': it must be from -1\.5708 to 1",
+            ),
+            (lambda scan: scan.at_yaw([0.1, 20.0]), r"^Invalid yaw 20 rad: it must be from -12\.5664 .*np\.deg2rad"),
+            (lambda scan: scan.at_yaw(-20), r"^Invalid yaw -20 rad"),
+            (
+                lambda _: load_scan("6-beam@tilt_deg=573"),
+                r"^Invalid tilt_deg 573\.0 degrees: it must be from -90 to 90 d",
+            ),
+            (
+                lambda _: load_scan("6-beam@yaw_deg=1146"),
+                r"^Invalid yaw_deg 1146\.0 degrees: it must be from -360 to 3",
+            ),
+            (lambda _: load_scan("6-beam", tilt_deg=-91), r"^Invalid tilt_deg -91 degrees: it must be from -90 to 90"),
+            (lambda _: load_scan("6-beam", yaw_deg=361), r"^Invalid yaw_deg 361 degrees: it must be from -360 to 360"),
+        ],
+    )
+    def test_degrees_where_radians_are_meant_and_angles_beyond_a_turn_are_refused(self, made, message):
+        with pytest.raises(InputError, match=message) as error:
+            made(load_scan("6-beam"))
+        assert "\n" not in str(error.value)
+
+    def test_angles_up_to_a_turn_and_up_to_the_vertical_are_taken_and_come_back(self, tmp_path):
+        for tilt_deg, yaw_deg in ((90.0, 360.0), (-90.0, -360.0), (89.999, 359.999)):
+            scan = load_scan("6-beam", tilt_deg=tilt_deg, yaw_deg=yaw_deg)
+            file = tmp_path / f"{tilt_deg}.toml"
+            save_scan(scan, file)
+            assert load_scan(file).key == scan.key
+            assert load_scan(file).yaw == pytest.approx(scan.yaw, rel=1e-15)
+
+    @pytest.mark.parametrize("line", ["tilt_deg = 91.0", "yaw_deg = -361.0"])
+    def test_a_file_with_another_mounting_is_refused(self, line, tmp_path):
+        file = tmp_path / "mine.toml"
+        file.write_text(f'base = "6-beam"\n[mounting]\n{line}\n', encoding="utf-8")
+        with pytest.raises(
+            InputError, match=rf"mounting\.{line[:4]}.*: input should be (less|greater) than or equal to"
+        ):
+            load_scan(file)
 
     @pytest.mark.parametrize("angle", ["tilt", "yaw"])
     @pytest.mark.parametrize("value", [np.nan, np.inf])

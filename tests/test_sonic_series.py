@@ -114,6 +114,26 @@ class TestReadSonic:
         assert np.isnan(back["u"].values[bad]).all()
         assert json.loads(back.attrs["read_report"])["rows_bad_status"] == bad.sum()
 
+    def test_a_number_that_marks_a_missing_entry(self, tmp_path, series):
+        """Of the series, and of a mast beside records; a zero is a velocity."""
+        marked = series.copy(deep=True)
+        marked["u"].values[3:9], marked["w"].values[20] = -9999.0, 0.0
+        file = write_toa5(tmp_path / "a.dat", marked)
+        found = read_sonic(file, invalid=(-9999, 0))
+        expected = np.where(marked["u"] == -9999.0, np.nan, marked["u"])
+        np.testing.assert_array_equal(found["u"], expected)
+        assert found["w"].values[20] == 0.0
+        lidar = brs.simulate("2-beam", "fu-2022", wind_speed=10.0, n_records=1, seed=1)
+        start = lidar["time"].values[0]
+        records = brs.make_records(lidar, "2-beam")
+        hour = wind_of(12000)
+        hour = hour.assign_coords(time=start + (hour["time"].values - hour["time"].values[0]))
+        hour["u"].values[3:9] = -9999.0
+        file = write_toa5(tmp_path / "mast.dat", hour)
+        beside = brs.wind.with_mast(records, str(file), position=(-98, 0, 0), invalid=-9999)
+        clean = sonic_stresses(hour.assign(u=hour["u"].where(hour["u"] != -9999.0)))
+        np.testing.assert_allclose(beside["mast_stress"].values[0], clean["stress"].values[0], rtol=1e-9)
+
     def test_a_cut_number_is_not_believed(self, tmp_path, series):
         few = series.isel(time=slice(0, 5))
         file = write_toa5(tmp_path / "a.dat", few, names=NAMES[:5], units=UNITS[:5])

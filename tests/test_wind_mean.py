@@ -8,6 +8,7 @@ from scipy import stats
 import bayes_rs as brs
 from bayes_rs import InputError, load_scan, load_turbulence
 from bayes_rs.records.flags import RECORD_FLAGS
+from bayes_rs.records.given import warn_of_other_scan
 from bayes_rs.records.least_squares import horizontal_wind, solve_wind
 from bayes_rs.theory.probed import probed_covariance
 from bayes_rs.wind import mean_wind
@@ -369,6 +370,25 @@ def test_samples_and_records_of_another_scan_are_told(caplog):
     caplog.clear()
     brs.make_records(brs.read(brs.demo_file("6-beam-45"), "6-beam"), brs.load_scan("6-beam", tilt_deg=5.0))
     assert "(tilt 0° and 5°, in the samples and now)" in caplog.messages[0]
+
+
+@pytest.mark.parametrize(
+    ("cycle", "share", "words"),
+    [
+        (5.0, 1.0, "(cycle 5 s and 1 s, in the {} and now)"),
+        (1.0, 0.0, "(times of single beams, in the {} and now)"),
+        (2.0, 0.0, "(cycle 2 s and 1 s, in the {} and now)"),
+        (1.0, 0.7, "such as the opening angle, focus distance, tilt, cycle or times of the beams)"),
+    ],
+)
+def test_a_scan_that_differs_in_its_timing_alone_is_told_by_it(cycle, share, words, caplog):
+    scan = brs.load_scan("6-beam")
+    own = brs.Scan("mine", scan.beam_direction, scan.focus_distance, scan.beam_time * cycle * share, cycle)
+    series = brs.simulate(own, "fu-2022", wind_speed=10.0, n_records=1, seed=1)
+    for what, data in (("samples", series), ("records", brs.make_records(series, own))):
+        caplog.clear()
+        warn_of_other_scan(data, scan)
+        assert words.format(what) in caplog.messages[0]
 
 
 def test_wind_from_behind_is_doubted_unless_the_lidar_looks_downwind():

@@ -317,6 +317,15 @@ class TestReadMotion:
         assert motion["time"].values == np.datetime64("2020-09-03T19:00:01.5")
         assert motion["tilt_deg"].values == 0.25
 
+    def test_no_angle_marks_a_missing_entry(self, tmp_path):
+        rows = ["time,tilt,roll,heading,x"] + [f"2020-09-03T19:00:0{second},0,0.0,0,0" for second in range(3)]
+        (tmp_path / "a.csv").write_text("\n".join([*rows, "2020-09-03T19:00:03,-999,-999,-999,1"]) + "\n")
+        columns = {"time": "time", "tilt_deg": "tilt", "roll_deg": "roll", "heading_deg": "heading", "velocity_x": "x"}
+        motion = read_motion(tmp_path / "a.csv", columns=columns, invalid=(0, -999))
+        for name in ("tilt_deg", "roll_deg", "heading_deg"):
+            np.testing.assert_array_equal(motion[name].values, [0.0, 0.0, 0.0, np.nan])
+        np.testing.assert_array_equal(motion["velocity_x"].values, [np.nan, np.nan, np.nan, 1.0])
+
     def test_refuses_a_file_that_is_not_there(self, tmp_path):
         with pytest.raises(InputError, match=r"No file .*: check the path of the motion\."):
             read_motion(tmp_path / "none.csv", columns={"time": "t", "tilt_deg": "p"})

@@ -17,6 +17,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fitting import fit
 from bayes_rs.fits.found_scan import with_found_scan
+from bayes_rs.fits.lidar_files import lidar_options
 from bayes_rs.fits.ranged_fit import RangedFit
 from bayes_rs.fits.settings import Settings
 from bayes_rs.fits.words import record_name
@@ -231,7 +232,7 @@ def _open_files(path: Path, name: str, settings: Settings, scan: str) -> Opened:
     check_motion(own.records, own.files)
     mast = mast_of(own.records, records, own.files)
     if records is None:
-        series = read(list(own.files.files), loaded, **own.files.of_reading())
+        series = read(list(own.files.files), loaded, **lidar_options(own, loaded).of_reading())
         records = make_records(series, loaded, quality=own.quality, **options_of_series(own.records))
     records = add_motion(records, loaded, own.records, own.files, say=said.append)
     records = add_mast(records, mast, own.records, said.append)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
@@ -21,9 +22,14 @@ MOST_SCATTER = 0.9
 """The records' own scatter is at most this share of the variance of any direction; the rest they have in common."""
 LEAST_SCATTER = 1e-8
 """It is at least this share: records that differ by less than 0.0001 of the prior's width are alike."""
+_AT_MOST = MOST_SCATTER * (1.0 - 1e-9)
+"""So far eigenvalues come to it: what is next to it cannot be told from it, as odds cannot from infinity."""
 _ORDER = np.array([1, 2, 3, 4, 5, 0])
 """The size comes last, so that the last pivot of a Cholesky factor is the variance that it has of its own."""
 _HALF = 0.5 * N_COORDINATE
+PARTIAL_SHAPE = ETA + 0.5 * (N_COORDINATE - 2.0 - np.arange(N_COORDINATE - 1.0))
+"""a of coordinate j: ½ + ½ times the partial correlation of a later coordinate with it, given those before, has the
+density Beta(a, a) (Lewandowski, Kurowicka and Joe 2009). So the last row is independent of those above it."""
 
 
 def log_density_of_scatter(scatter: FloatArray) -> FloatArray:
@@ -34,11 +40,26 @@ def log_density_of_scatter(scatter: FloatArray) -> FloatArray:
     that is |Σ|^(η − 1) Π Σ_ii^(1 − η − 6/2).
     """
     eigenvalue = np.linalg.eigvalsh(scatter)
-    inside = (eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < MOST_SCATTER)
+    inside = (eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < _AT_MOST)
     safe = np.where(inside[:, None], eigenvalue, 0.5)
     diagonal = np.where(inside[:, None], np.einsum("nii->ni", scatter), 0.5)
     density = (ETA - 1.0) * np.log(safe).sum(axis=1) - (ETA - 1.0 + _HALF) * np.log(diagonal).sum(axis=1)
     return np.where(inside, density, -np.inf)
+
+
+def scatter_odds(scatter: FloatArray) -> FloatArray:
+    """Return O = S (I − S)⁻¹ with S = Σ / `MOST_SCATTER`, shape (n, 6, 6): any positive definite O is of a Σ."""
+    share = scatter / MOST_SCATTER
+    odds = np.linalg.solve(np.eye(N_COORDINATE) - share, share)
+    return np.asarray(0.5 * (odds + odds.swapaxes(-1, -2)))
+
+
+def scatter_of_odds(odds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Σ of odds O, shape (n, 6, 6), and ln |dΣ/dO|, up to a constant: −7 ln |I + O|."""
+    more = np.eye(N_COORDINATE) + odds
+    scatter = MOST_SCATTER * np.linalg.solve(more, odds)
+    log_volume = -(N_COORDINATE + 1.0) * np.linalg.slogdet(more)[1]
+    return 0.5 * (scatter + scatter.swapaxes(-1, -2)), np.asarray(log_volume)
 
 
 def draw_scatter(n: int, rng: np.random.Generator) -> FloatArray:
@@ -48,7 +69,7 @@ def draw_scatter(n: int, rng: np.random.Generator) -> FloatArray:
     while missing > 0:
         scatter = _draw_untruncated(2 * missing + 16, rng)
         eigenvalue = np.linalg.eigvalsh(scatter)
-        scatter = scatter[(eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < MOST_SCATTER)][:missing]
+        scatter = scatter[(eigenvalue[:, 0] > LEAST_SCATTER) & (eigenvalue[:, -1] < _AT_MOST)][:missing]
         found.append(scatter)
         missing -= len(scatter)
     return np.concatenate(found)
@@ -61,13 +82,45 @@ def _draw_untruncated(n: int, rng: np.random.Generator) -> FloatArray:
     for i in range(1, N_COORDINATE):
         left = np.ones(n)
         for j in range(i):
-            shape = ETA + 0.5 * (N_COORDINATE - 2 - j)
-            partial = 2.0 * rng.beta(shape, shape, n) - 1.0
+            partial = 2.0 * rng.beta(PARTIAL_SHAPE[j], PARTIAL_SHAPE[j], n) - 1.0
             root[:, i, j] = partial * np.sqrt(left)
             left -= root[:, i, j] ** 2
         root[:, i, i] = np.sqrt(left)
     root *= rng.uniform(size=(n, N_COORDINATE))[:, :, None]
     return np.asarray(root @ root.swapaxes(-1, -2))
+
+
+def scores_of_row(row: FloatArray) -> FloatArray:
+    """Return normal scores of the partial correlations and the spread of a coordinate, shape (n, 6).
+
+    Parameters
+    ----------
+    row : ndarray, shape (n, 6)
+        The last row of the Cholesky factor of Σ, with this coordinate last.
+
+    Returns
+    -------
+    score : ndarray, shape (n, 6)
+        Independent and standard normal under the hyperprior without its bounds of eigenvalues; the spread is last.
+    """
+    spread = np.sqrt(np.sum(row**2, axis=1))
+    left = np.cumsum(row[:, ::-1] ** 2, axis=1)[:, :0:-1]  # what the coordinates before leave of its variance
+    partial = row[:, :-1] / np.sqrt(left)
+    tail = scipy.special.betainc(PARTIAL_SHAPE, PARTIAL_SHAPE, 0.5 * (1.0 - np.abs(partial)))
+    score = -np.copysign(1.0, partial) * scipy.special.ndtri(tail)
+    return np.concatenate([score, scipy.special.ndtri(spread)[:, None]], axis=1)
+
+
+def row_of_scores(score: FloatArray) -> FloatArray:
+    """Return the row of `scores_of_row`, shape (n, 6)."""
+    tail = scipy.special.betaincinv(PARTIAL_SHAPE, PARTIAL_SHAPE, scipy.special.ndtr(-np.abs(score[:, :-1])))
+    partial = np.copysign(1.0 - 2.0 * tail, score[:, :-1])
+    row = np.empty_like(score)
+    left = np.cumprod(2.0 * np.sqrt(tail * (1.0 - tail)), axis=1)  # √(1 − partial²), one after the other
+    row[:, 0] = partial[:, 0]
+    row[:, 1:-1] = partial[:, 1:] * left[:, :-1]
+    row[:, -1] = left[:, -1]
+    return np.asarray(row * scipy.special.ndtr(score[:, -1:]))
 
 
 _FIELDS = ("scatter", "speed_share", "group_share", "score")

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.campaign import small_matrices
 from bayes_rs.campaign.cells import Cells
-from bayes_rs.campaign.hyperprior import Hyper, group_root
+from bayes_rs.campaign.hyperprior import (
+    Hyper,
+    group_root,
+    row_of_scores,
+    scatter_odds,
+    scatter_of_odds,
+    scores_of_row,
+)
 from bayes_rs.posteriors.posterior import Posterior
 from bayes_rs.priors.interface import N_COORDINATE
 
@@ -23,7 +30,7 @@ _DOF = 8.0
 """Degrees of freedom of the independence proposal."""
 _UNSEEN = 1.0
 """Precision, of the prior's, up to which a direction is unseen: all records together say less than the prior does."""
-_KINDS = ("shift", "pair", "spread")
+_KINDS = ("shift", "pair", "spread", "row")
 _SIZES = np.array([0.3, 1.0, 3.0])
 """Steps are of these sizes at random: a scatter is known better where it is large than where it is small."""
 _WALKS = np.array([0.3, 1.0, 2.4])
@@ -171,7 +178,7 @@ class RecordMoves:
         self.likelihood = posterior.likelihood.records_last()
         self.cells = cells
         self.rng = rng
-        self.log_step = {kind: np.zeros(N_COORDINATE) for kind in _KINDS}
+        self.log_step = {kind: np.zeros((N_COORDINATE, N_COORDINATE)) for kind in _KINDS}
         self.tried = dict.fromkeys(("records, independent", "records, walk", *_KINDS), 0.0)
         self.accepted = dict.fromkeys(self.tried, 0.0)
         self.shape_by(expansion, np.full(N_COORDINATE, 0.25))
@@ -188,7 +195,7 @@ class RecordMoves:
         self.scale = {"shift": 1.0 / np.sqrt(1.0 + n_record * known / spread), "spread": np.ones(N_COORDINATE)}
         # what the data tell well the other moves know, too: these are for what they tell badly
         self.chance = {kind: _chances(1.0 - known) for kind in _KINDS}
-        self.chance["spread"] = _chances(1.0 - self.axes**2 @ known)
+        self.chance["spread"] = self.chance["row"] = _chances(1.0 - self.axes**2 @ known)
         self.pair_scale = np.sqrt(spread[:, None] / spread) / np.sqrt(4.0 + n_record * known[:, None] * known)
 
     def log_likelihood(self, coordinate: FloatArray) -> FloatArray:
@@ -256,20 +263,23 @@ class RecordMoves:
         return State(state.hyper, trial, height, state.frame, score, log_prior)
 
     def carry(self, state: State, kind: str, *, adapt: bool) -> State:
-        """Make a move that carries the records along: of the means (``"shift"``), or of Σ (``"spread"``, ``"pair"``).
+        """Make a move that carries the records along: of the means (``"shift"``), or of Σ (the others).
 
         Its axis, or coordinate, is chosen at random: more often one that the data tell badly.
         """
         axis = int(np.searchsorted(np.cumsum(self.chance[kind])[:-1], self.rng.uniform()))
         if kind == "shift":
             return self.shift(state, axis, adapt=adapt)
+        if kind == "row":
+            return self.row(state, axis, adapt=adapt)
         return self.stretch(state, kind, axis, adapt=adapt)
 
     def shift(self, state: State, axis: int, *, adapt: bool) -> State:
         """Move the means, of all groups or of one, along an axis."""
         hyper, cells = state.hyper, self.cells
         n_chain = len(hyper)
-        step = self._steps("shift", axis, n_chain) * self.scale["shift"][axis] * self.rng.standard_normal(n_chain)
+        step = self._steps("shift", (axis, axis), n_chain)
+        step *= self.scale["shift"][axis] * self.rng.standard_normal(n_chain)
         which = np.ones((n_chain, cells.n_group))
         if cells.n_group > 1:
             one = self.rng.integers(2 * cells.n_group, size=n_chain)  # half of the moves are of one group
@@ -283,7 +293,8 @@ class RecordMoves:
         score[:, : N_COORDINATE * cells.n_group] += (change[:, :, None] * between[:, None, :]).reshape(n_chain, -1)
         log_ratio = 0.5 * np.sum(hyper.score**2 - score**2, axis=1)
         moved = hyper.with_score(score)
-        return self._carry("shift", axis, state, moved, self.frame(moved, like=state.frame), log_ratio, adapt=adapt)
+        frame = self.frame(moved, like=state.frame)
+        return self._carry("shift", (axis, axis), state, moved, frame, log_ratio, adapt=adapt)
 
     def release(self, state: State, directions: FloatArray, level: FloatArray) -> State:
         """Put the mean of all cells, along directions (6, k), to levels (n_chain, k) of its prior there.
@@ -314,8 +325,8 @@ class RecordMoves:
     def stretch(self, state: State, kind: str, axis: int, *, adapt: bool) -> State:
         """Change Σ: the spread of a coordinate, or what an axis has in common with another.
 
-        Σ becomes A Σ Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as probable as A, and the measure of Σ
-        grows by |A|⁷. The scores of the means are held fixed.
+        The odds O of Σ, which have no upper bound, become A O Aᵀ with A = exp(q bᵀ), q the axis and b random: A⁻¹ is as
+        probable as A, and the measure of O grows by |A|⁷. The scores of the means are held fixed.
 
         Parameters
         ----------
@@ -336,25 +347,53 @@ class RecordMoves:
         hyper = state.hyper
         n_chain = len(hyper)
         basis = np.eye(N_COORDINATE) if kind == "spread" else self.axes
-        size = self._steps(kind, axis, n_chain)[:, None]
-        if kind == "pair":
-            other = self.rng.integers(N_COORDINATE, size=n_chain)
-            step = 2.0 * self.pair_scale[axis, other] * self.rng.standard_normal(n_chain)
-            slope = size * step[:, None] * basis.T[other]
-        else:
-            slope = size * self.scale[kind][axis] * self.rng.standard_normal((n_chain, 1)) * basis[:, axis]
+        other = int(self.rng.integers(N_COORDINATE)) if kind == "pair" else axis
+        scale = 2.0 * self.pair_scale[axis, other] if kind == "pair" else self.scale[kind][axis]
+        step = self._steps(kind, (axis, other), n_chain) * scale * self.rng.standard_normal(n_chain)
+        slope = step[:, None] * basis[:, other]
         rate = slope @ basis[:, axis]
         growth = np.where(np.abs(rate) > 1e-8, np.expm1(rate) / np.where(np.abs(rate) > 1e-8, rate, 1.0), 1.0)
         matrix = np.eye(N_COORDINATE) + basis[:, axis, None] * (growth[:, None] * slope)[:, None, :]
-        scatter = matrix @ hyper.scatter @ matrix.swapaxes(-1, -2)
-        scatter = 0.5 * (scatter + scatter.swapaxes(-1, -2))
+        odds = scatter_odds(hyper.scatter)
+        _, volume = scatter_of_odds(odds)
+        scatter, new_volume = scatter_of_odds(matrix @ odds @ matrix.swapaxes(-1, -2))
         new = hyper.with_scatter(scatter)
-        log_ratio = new.log_density - hyper.log_density + (N_COORDINATE + 1.0) * rate
+        log_ratio = new.log_density - hyper.log_density + new_volume - volume + (N_COORDINATE + 1.0) * rate
         new = hyper.where(np.isfinite(log_ratio), new)
-        return self._carry(kind, axis, state, new, self.frame(new), log_ratio, adapt=adapt)
+        return self._carry(kind, (axis, other), state, new, self.frame(new), log_ratio, adapt=adapt)
+
+    def row(self, state: State, axis: int, *, adapt: bool) -> State:
+        """Change the spread of a coordinate and all its correlations at once, with the steps of an autoregression.
+
+        With the coordinate last, and the others before it in any order, its spread and partial correlations are
+        independent of the rest of Σ under the hyperprior. As normal scores x they become √(1 − b²) x + b times new
+        ones, which leaves the hyperprior as it is: what the data tell badly moves far (Neal 1999; Cotter et al. 2013).
+        """
+        hyper = state.hyper
+        n_chain = len(hyper)
+        order = np.append(self.rng.permutation(np.delete(np.arange(N_COORDINATE), axis)), axis)
+        lower = np.asarray(np.linalg.cholesky(hyper.scatter[:, order[:, None], order]), dtype=np.float64)
+        score = scores_of_row(lower[:, -1])
+        size = np.minimum(self._steps("row", (axis, axis), n_chain), 1.0)[:, None]
+        score = np.sqrt((1.0 - size) * (1.0 + size)) * score + size * self.rng.standard_normal(score.shape)
+        lower[:, -1] = row_of_scores(score)
+        scatter = np.empty_like(lower)
+        scatter[:, order[:, None], order] = lower @ lower.swapaxes(-1, -2)
+        new = hyper.with_scatter(scatter)
+        log_ratio = np.where(np.isfinite(new.log_density), 0.0, -np.inf)
+        new = hyper.where(np.isfinite(log_ratio), new)
+        return self._carry("row", (axis, axis), state, new, self.frame(new), log_ratio, adapt=adapt)
 
     def _carry(
-        self, kind: str, axis: int, state: State, hyper: Hyper, frame: Frame, log_ratio: FloatArray, *, adapt: bool
+        self,
+        kind: str,
+        which: tuple[int, int],
+        state: State,
+        hyper: Hyper,
+        frame: Frame,
+        log_ratio: FloatArray,
+        *,
+        adapt: bool,
     ) -> State:
         """Accept or reject new hyperparameters; the records keep their scores Lᵀ (z − m) in the new approximation.
 
@@ -368,7 +407,7 @@ class RecordMoves:
         with np.errstate(invalid="ignore"):
             accept = self._accept(kind, log_ratio + np.sum(change, axis=1))
         if adapt:
-            self.log_step[kind][axis] += 0.5 * (accept.mean() - 0.4)
+            self.log_step[kind][which] += 0.5 * (accept.mean() - 0.4)
         return self._mixed(state, State(hyper, trial, height, frame, state.score, log_prior), accept)
 
     @staticmethod
@@ -393,9 +432,9 @@ class RecordMoves:
                 then.log_prior_volume[chain] = now.log_prior_volume[chain]
         return replace(new, hyper=state.hyper.where(accept, new.hyper))
 
-    def _steps(self, kind: str, axis: int, n_chain: int) -> FloatArray:
+    def _steps(self, kind: str, which: tuple[int, int], n_chain: int) -> FloatArray:
         """Return sizes of steps, shape (n_chain,)."""
-        return np.asarray(np.exp(self.log_step[kind][axis]) * _one_of(_SIZES, n_chain, self.rng))
+        return np.asarray(np.exp(self.log_step[kind][which]) * _one_of(_SIZES, n_chain, self.rng))
 
     def _accept(self, what: str, log_ratio: FloatArray) -> NDArray[np.bool_]:
         accept = np.log(self.rng.uniform(size=log_ratio.shape)) < log_ratio

@@ -35,7 +35,7 @@ _TOGETHER = 1200
 """Records times chains that cost little more than fewer."""
 _STRIDE = 2
 """Sweeps from one kept draw of the hyperparameters to the next."""
-_CARRYING = ("shift", "spread", "pair", "spread", "pair")
+_CARRYING = ("shift", "spread", "row", "pair", "row")
 """Moves of each sweep that carry the records along."""
 _EACH_WALK = 4
 """Sweeps from one random walk of the records to the next."""

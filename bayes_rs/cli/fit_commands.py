@@ -65,7 +65,7 @@ def fit(files: tuple[str, ...], save_settings: str | None, **options: Any) -> No
     # the first tells what they are: a fleet has a hundred
     first = single_files(settings.files.files)[:1]
     if first and named and open_record_files(first, settings.scan.load()) is not None:
-        refuse_for_records(settings.files.files)
+        refuse_for_records(settings)
     if save_settings is not None:
         _check_beside(Path(save_settings), Path(output))
         if Path(save_settings).exists():
@@ -287,7 +287,7 @@ def corner(
     folder: Path, record: str, distance: float | None, height: float | None, output: Path | None, overwrite: bool
 ) -> None:
     """Draw the posterior of one record of a fit, with the outline of the prior."""
-    from bayes_rs.output import output_file
+    from bayes_rs.output import as_named, output_file
     from bayes_rs.plot.corner_plot import corner as draw_corner
     from bayes_rs.result_folder import list_beside
 
@@ -298,5 +298,6 @@ def corner(
         figure.savefig(part, dpi=130)
     if output is None:
         list_beside(picture)
+        picture = as_named(picture, folder)
     tell(str(picture), wrap=False)
     answer({"file": str(picture)})

@@ -18,7 +18,7 @@ from bayes_rs.errors import InputError, did_you_mean, in_short
 from bayes_rs.file_options import ALL_RANGES
 from bayes_rs.fits.settings import RUN_SUFFIX, SECTIONS, ScanOptions, Settings
 from bayes_rs.options import Option, options_of
-from bayes_rs.records.record_options import ADDED
+from bayes_rs.records.record_options import ADDED, options_beside
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 TITLES = {
@@ -322,8 +322,10 @@ def refuse_given(names: Sequence[str], why: str) -> None:
         raise click.UsageError(f"{', '.join(without)}: {why}")
 
 
-def refuse_for_records(files: Sequence[str]) -> None:
+def refuse_for_records(settings: Settings) -> None:
     """Refuse options of reading, or of making records, for records that were made before.
+
+    Those that the files of motion or of a mast have, too, count for these if they are named.
 
     Raises
     ------
@@ -332,9 +334,9 @@ def refuse_for_records(files: Sequence[str]) -> None:
     """
     names = {entry.name for section in _MADE_OF_SERIES for entry in options_of(SECTIONS[section])}
     refuse_given(
-        sorted(names - set(ADDED)),
-        f"for radial velocities only, and {files[0]!r} holds records that were made before: leave it out, or give the "
-        "files of radial velocities.",
+        sorted(names - set(ADDED) - options_beside(settings.records)),
+        f"for radial velocities only, and {settings.files.files[0]!r} holds records that were made before: leave it "
+        "out, or give the files of radial velocities.",
     )
 
 

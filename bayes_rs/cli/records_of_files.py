@@ -47,7 +47,7 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
     scan = settings.scan.load()
     made = open_record_files(settings.files.files, scan)
     if made is not None:
-        refuse_for_records(settings.files.files)
+        refuse_for_records(settings)
     mast = mast_of(settings.records, made, settings.files)  # as above
     if made is None and settings.quality.blade_frequency is not None:  # whether blades pass is a matter of all samples
         made = _records_of_series(series_of(settings, scan), scan, settings)
@@ -59,6 +59,7 @@ def records_and_scan(settings: Settings) -> tuple[xr.Dataset, Scan]:
 def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
     """Make records as `fit` does, piece by piece, with memory that does not grow with the files."""
     from bayes_rs.begin_folder import begin_result_folder
+    from bayes_rs.fits.lidar_files import lidar_options
     from bayes_rs.records.record_options import options_of_series
     from bayes_rs.records.record_store import store_records
 
@@ -69,7 +70,7 @@ def _records_in_pieces(settings: Settings, scan: Scan) -> xr.Dataset:
                     list(settings.files.files),
                     scan,
                     folder,
-                    reading=settings.files,
+                    reading=lidar_options(settings, scan),
                     quality=settings.quality,
                     say=note,
                     workers=settings.output.workers,
@@ -89,9 +90,11 @@ def with_scan(settings: Settings) -> Settings:
 
 def series_of(settings: Settings, scan: Scan) -> xr.Dataset:
     """Read radial velocities."""
+    from bayes_rs.fits.lidar_files import lidar_options
     from bayes_rs.readers.reading import read
 
-    return read(list(settings.files.files), scan, workers=settings.output.workers, **settings.files.of_reading())
+    reading = lidar_options(settings, scan).of_reading()
+    return read(list(settings.files.files), scan, workers=settings.output.workers, **reading)
 
 
 def series_and_records(settings: Settings, scan: Scan) -> tuple[xr.Dataset, xr.Dataset]:

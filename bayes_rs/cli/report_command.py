@@ -52,6 +52,7 @@ def report(
 
     Of a fit at several ranges, a page of the profile, and one for each range.
     """
+    from bayes_rs.output import as_named
     from bayes_rs.report.writing import write_report
 
     found = fit_at_range(folder, distance, height)
@@ -66,5 +67,6 @@ def report(
         budget=budget,
         overwrite=overwrite,
     )
+    page = as_named(page, folder)
     tell(str(page), wrap=False)
     answer({"file": str(page)})

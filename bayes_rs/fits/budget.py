@@ -64,7 +64,7 @@ def budget(
     ----------
     fit : Fit
         From `fit` or `open_fit`, of R: not of the target ``"sonic"``.
-    records : int, slice or array_like, optional
+    records : int, str, datetime, Timestamp, datetime64, slice or array_like, optional
         Only these records, as in `Fit.summary`; by default all that were fitted, or 200 of them, evenly spaced.
     each : bool
         A budget for each record, in place of the mean of their variances.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.words import record_name
 from bayes_rs.geometry.stress import STRESSES
@@ -14,6 +15,8 @@ from bayes_rs.posteriors.decided import is_priors
 _MOST_READ = 20_000
 """Records up to which the numbers are read to be shown: it takes half a second."""
 _PRIORS = " (the prior's)"
+UNREADABLE = (InputError, OSError)
+"""Errors of a folder that is gone or damaged."""
 
 
 def fit_rows(fit: FitData) -> dict[str, str]:
@@ -35,6 +38,18 @@ def fit_rows(fit: FitData) -> dict[str, str]:
         of_prior = _PRIORS if is_priors(decided[index]) else ""
         rows[name] = f"{middle[index]:.3g}, {low[index]:.3g} to {high[index]:.3g}{of_prior}"
     return rows
+
+
+def unreadable_words(fit: FitData, error: Exception) -> str:
+    """Return in one line what a fit is that cannot be read any more, as where its folder is gone."""
+    where = f", in {fit.place!r}" if fit.place else ""
+    return f"<{type(fit).__name__} that cannot be read, scan {fit.scan.name}{where}: {' '.join(str(error).split())}>"
+
+
+def unreadable_card(fit: FitData, error: Exception) -> str:
+    """Return the same as HTML."""
+    title = f"{type(fit).__name__} that cannot be read, scan {fit.scan.name}"
+    return card(title, [*([("folder", fit.place)] if fit.place else []), ("why", str(error))])
 
 
 def fit_card(fit: FitData) -> str:

@@ -12,13 +12,14 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayes_rs._validation import FloatArray, check_count
+from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.columns import COVARIANCES, PAIRS
 from bayes_rs.fits.flags import FLAGS, UNFITTED, flag_words
+from bayes_rs.fits.read_only import read_only, read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey, record_number
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.stress import STRESSES
-from bayes_rs.stated_time import stated_times
 
 _BATCH = 128
 """Records whose draws are held at a time."""
@@ -99,7 +100,7 @@ class FitData:
     loaded : callable
         Returns the records and the draws of the prior.
     place : str
-        The folder, for messages; empty in memory.
+        The folder, a whole path; empty in memory.
     """
 
     run: Mapping[str, Any]
@@ -109,15 +110,19 @@ class FitData:
     place: str = ""
 
     @cached_property
-    def records(self) -> xr.Dataset:
-        """The records that were fitted."""
+    def _records(self) -> xr.Dataset:
         records: xr.Dataset = self.loaded.records()
-        return records
+        return read_only_dataset(records)
+
+    @property
+    def records(self) -> xr.Dataset:
+        """The records that were fitted; their arrays are read-only, and ``records.copy(deep=True)`` can be changed."""
+        return self._records.copy(deep=False)
 
     @cached_property
     def prior_draws(self) -> FloatArray:
-        """Draws of the prior, shape (n, 6), m² s⁻²."""
-        return np.asarray(self.loaded.prior_draws(), dtype=np.float64)
+        """Draws of the prior, shape (n, 6), m² s⁻²; read-only."""
+        return read_only(np.asarray(self.loaded.prior_draws(), dtype=np.float64))
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -132,8 +137,8 @@ class FitData:
 
     @cached_property
     def flag(self) -> NDArray[np.int64]:
-        """Flags of the records, shape (n_record,): bit masks as in `FLAGS`."""
-        return self.source.read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64)
+        """Flags of the records, shape (n_record,): bit masks as in `FLAGS`; read-only."""
+        return read_only(self.source.read("posterior", ["record", "flag_bits"])["flag_bits"].to_numpy(dtype=np.int64))
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
@@ -152,8 +157,9 @@ class FitData:
 
     @cached_property
     def time(self) -> NDArray[np.datetime64]:
-        """Starts of the records, shape (n_record,); NaT where there is no time."""
-        return self.source.read("posterior", ["record", "time"])["time"].to_numpy().astype("datetime64[ns]")
+        """Starts of the records, shape (n_record,); NaT where there is no time; read-only."""
+        starts = self.source.read("posterior", ["record", "time"])["time"].to_numpy()
+        return read_only(starts.astype("datetime64[ns]"))
 
     @property
     def has_draws(self) -> bool:
@@ -179,7 +185,7 @@ class FitData:
         Returns
         -------
         table : DataFrame
-            In the order of the records.
+            In the order of the records; a table of your own, which you may change.
 
         Raises
         ------
@@ -192,7 +198,7 @@ class FitData:
                 if dataset in ("draws", "predicted")
                 else InputError(f"No table {dataset!r} of this fit: it has {', '.join(self.source.datasets)}.")
             )
-        return self.source.read(dataset)
+        return self.source.read(dataset).copy()  # what is kept, or read-only, is not handed out
 
     def of_stresses(self, *names: str, dataset: str = "summary") -> dict[str, FloatArray]:
         """Return columns of the summary, each of shape (n_record, 6), without those of derived quantities.
@@ -245,13 +251,13 @@ class FitData:
             first = last
         return matrix
 
-    def draws(self, record: int | str | None = None) -> FloatArray:
+    def draws(self, record: RecordKey | None = None) -> FloatArray:
         """Return the posterior's draws of the stresses.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC); by default all records.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time); by default all records.
 
         Returns
         -------
@@ -328,13 +334,13 @@ class FitData:
         beams = [f"beam_{number}" for number in self.scan.beam.tolist()]
         return self._draws_of(np.arange(self.n_record), "predicted", beams)
 
-    def find_record(self, record: int | str) -> int:
+    def find_record(self, record: RecordKey) -> int:
         """Return the number of a fitted record.
 
         Parameters
         ----------
-        record : int or str
-            Number of the record, or its start as ISO time (UTC).
+        record : int, str, datetime, Timestamp or datetime64
+            Number of the record, or its start (UTC; a text is an ISO time).
 
         Returns
         -------
@@ -346,34 +352,12 @@ class FitData:
         InputError
             If there is no such record, or it was not fitted.
         """
-        if isinstance(record, str) and not record.lstrip("-").isdecimal():
-            index = self._at(record)
-        else:
-            index = int(record) if isinstance(record, str) else check_count(record, what="record", minimum=-(2**31))
-            if not 0 <= index < self.n_record:
-                raise InputError(f"No record {index}: there are {self.n_record}, numbered from 0.")
+        index = record_number(record, self.n_record, lambda: self.time)
         if not self.fitted[index]:
             raise InputError(
                 f"Record {index} was not fitted ({flag_words(int(self.flag[index]))}): choose another one."
             )
         return index
-
-    def _at(self, record: str) -> int:
-        stamp = stated_times(pd.Series([record])).dt.tz_localize(None)[0]
-        if pd.isna(stamp):
-            raise InputError(f"Invalid record {record!r}: give a number or a time such as 2020-09-04T12:00.")
-        match = np.flatnonzero(self.time == stamp.to_datetime64())
-        if len(match) > 1:
-            first = ", ".join(map(str, match[:3].tolist()))
-            raise InputError(
-                f"{len(match)} records start at {record}, as those of several turbines do: give a number, as {first}."
-            )
-        if len(match) == 0:
-            first, last = (str(time)[:19] for time in self.time[[0, -1]])
-            earlier = self.time[self.time < stamp.to_datetime64()]
-            near = f"; the last before it at {str(earlier.max())[:19]}" if len(earlier) else ""
-            raise InputError(f"No record starts at {record}: the records start from {first} to {last} (UTC){near}.")
-        return int(match[0])
 
     def _draws_of(self, record: NDArray[np.int64], dataset: str, names: Sequence[str]) -> FloatArray:
         """Return draws (len(record), n_chain, n_draw, len(names)) of a table with one row a draw."""

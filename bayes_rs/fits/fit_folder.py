@@ -69,14 +69,17 @@ def open_fit(folder: str | Path) -> Fit:
     if not isinstance(folder, (str, Path)):
         raise InputError(f"Invalid folder of a fit {in_short(folder)}: give its name.")
     folder = _folder_of(Path(folder))
+    name = str(folder)
+    if folder.is_dir():
+        folder = folder.absolute()  # tables are read later, when another directory may be the current one
     opened = open_result_folder(folder)
     if not opened.finished:
-        raise InputError(f"The fit in {str(folder)!r} has not ended: resume it, or wait for its end.")
+        raise InputError(f"The fit in {name!r} has not ended: resume it, or wait for its end.")
     run = opened.run()
     if "ranges" in run:
         return ranged_fit_in(run, str(folder))
     if "settings" not in run or "n_record" not in run:
-        raise InputError(f"No fit in {str(folder)!r}: its {RUN_FILE} is of another command.")
+        raise InputError(f"No fit in {name!r}: its {RUN_FILE} is of another command.")
     checked = checked_run(run, str(opened.path / RUN_FILE))
     return fit_in(opened, run, checked, load_scan_text(checked.scan_toml, name=checked.scan), str(folder))
 

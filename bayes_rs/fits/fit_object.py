@@ -18,7 +18,7 @@ from bayes_rs.fits.campaign_words import campaign_failures, campaign_words, no_c
 from bayes_rs.fits.coherence import Coherence, coherence_of
 from bayes_rs.fits.columns import ALONG, ALONG_SHAPE, HYPER, SUMMARY, TABLE, VARIANCES
 from bayes_rs.fits.direction_table import direction_medians, direction_rows
-from bayes_rs.fits.fit_card import fit_card, fit_rows
+from bayes_rs.fits.fit_card import UNREADABLE, fit_card, fit_rows, unreadable_card, unreadable_words
 from bayes_rs.fits.fit_data import FitData
 from bayes_rs.fits.fit_options import INFORMATION
 from bayes_rs.fits.frames import FRAMES, lidar_frame
@@ -32,6 +32,8 @@ from bayes_rs.fits.groups import (
     tree_of,
 )
 from bayes_rs.fits.headline import Headline, headline_of
+from bayes_rs.fits.read_only import read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.fits.selection import Selection, check_columns, selected_records
 from bayes_rs.fits.summarizing import COLUMNS
 from bayes_rs.fits.summary_anew import summarize
@@ -62,19 +64,25 @@ class Fit(FitData):
     loaded : callable
         Returns the records and the draws of the prior.
     place : str
-        The folder, for messages; empty in memory.
+        The folder, a whole path; empty in memory.
     """
 
     def __repr__(self) -> str:
         """Say in a few lines what it is, and what was found."""
         where = f", in {self.place!r}" if self.place else ""
-        counts = f"{self.n_fitted} of {self.n_record} records"
-        first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
-        return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+        try:
+            counts = f"{self.n_fitted} of {self.n_record} records"
+            first = f"<Fit: {counts}, scan {self.scan.name}, sampler {self.settings['fit']['sampler']}{where}"
+            return "\n ".join([first, *(f"{name}: {value}" for name, value in fit_rows(self).items())]) + ">"
+        except UNREADABLE as error:  # what shows itself must not fail
+            return unreadable_words(self, error)
 
     def _repr_html_(self) -> str:
         """Say it in a notebook, with uu of the records."""
-        return fit_card(self)
+        try:
+            return fit_card(self)
+        except UNREADABLE as error:  # as above
+            return unreadable_card(self, error)
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -116,15 +124,17 @@ class Fit(FitData):
         information : {"variances", "covariances"}, optional
             By default that of the fit. Of a fit that uses the covariances between beams, or a mast beside, too,
             ``"variances"`` gives what the variances of the beams say by themselves; of these no draws are kept.
-        records : int, slice or array_like, optional
-            Only these records: numbers, a slice of numbers or of starts as ISO times (UTC, the end left out), or a
-            truth value for each record, as ``fit.records["turbine"] == "T07"``. Only their parts are read.
+        records : int, str, datetime, Timestamp, datetime64, slice or array_like, optional
+            Only these records: numbers, starts (UTC; a text is an ISO time; all records that start then), a slice of
+            numbers or of starts (the end left out), or a truth value for each record, as
+            ``fit.records["turbine"] == "T07"``. Only their parts are read.
         columns : sequence of str, optional
             Only these columns, in this order.
 
         Returns
         -------
         table : DataFrame
+            A table of your own, which you may change: the fit keeps its numbers.
             One row for each record and stress (and derived quantity): number and start of the record; posterior mean,
             sd, median and ends of the interval, m² s⁻² for stresses, with its probability and kind; ``decided``; least
             squares on the same variances and its standard error, NaN for stresses that the beams do not determine;
@@ -182,7 +192,8 @@ class Fit(FitData):
         if as_made:
             if campaign:
                 self._campaign_table(TABLE, [])  # says why there is none
-            return self._of_table(SUMMARY if campaign else VARIANCES if alone else "summary", chosen, shown)
+            dataset = SUMMARY if campaign else VARIANCES if alone else "summary"
+            return self._of_table(dataset, chosen, shown).copy()  # what is kept, or read-only, is not handed out
         table = summarize(self, own["prob"] if prob is None else prob, kind, wanted, frame)
         if chosen is not None:
             table = table[np.isin(table["record"].to_numpy(), chosen)].reset_index(drop=True)
@@ -259,7 +270,7 @@ class Fit(FitData):
         Every row is the posterior of the very number that it names, not an average of the records' posterior means:
         those carry the prior's bias, which does not average out.
         """
-        return self._campaign_table(TABLE)
+        return self._campaign_table(TABLE).copy()
 
     def campaign_hyper(self) -> pd.DataFrame:
         """Return the hyperparameters of the campaign: the distribution that the records' R come from.
@@ -276,7 +287,7 @@ class Fit(FitData):
         InputError
             If there is no campaign; the message says why.
         """
-        return self._campaign_table(HYPER)
+        return self._campaign_table(HYPER).copy()
 
     def campaign_prior(self) -> CampaignPrior:
         """Return the prior that the campaign has learnt.
@@ -361,14 +372,14 @@ class Fit(FitData):
         """
         return lidar_frame(self)
 
-    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
+    def to_datatree(self, record: RecordKey | None = None) -> xr.DataTree:
         """Return the fit in ArviZ's layout, as xarray holds it.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC), for this record alone, without the dimension ``record``
-            and with the beams that it uses; by default all records.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time), for this record alone, without the
+            dimension ``record`` and with the beams that it uses; by default all records.
 
         Returns
         -------
@@ -388,12 +399,12 @@ class Fit(FitData):
             groups = of_one_record(groups, self.find_record(record))
         return tree_of(groups, self.attrs)
 
-    def to_arviz(self, record: int | str | None = None) -> Any:
+    def to_arviz(self, record: RecordKey | None = None) -> Any:
         """Return the fit as the functions of ArviZ take it.
 
         Parameters
         ----------
-        record : int or str, optional
+        record : int, str, datetime, Timestamp or datetime64, optional
             As for `to_datatree`. ArviZ's `loo` needs one: a record's datum is left out of this record alone.
 
         Returns
@@ -413,11 +424,32 @@ class Fit(FitData):
         return {}
 
     def __getitem__(self, name: str) -> Any:
-        """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``."""
+        """Return a group as a Dataset, or with a slash one variable of it, as ``fit["posterior/stress"]``.
+
+        The arrays are read-only: draws are large, and the fit keeps them.
+
+        Raises
+        ------
+        InputError
+            If there is no such group or variable, or it needs draws that were not kept; a fit is no sequence.
+        """
+        if not isinstance(name, str):
+            raise InputError(
+                f"Invalid group {in_short(name)} of a fit: give its name, one of {', '.join(group_names(self))}; a fit "
+                "is no sequence: of records, by number or start, there are fit.draws(0) and fit.summary(records=0)."
+            )
         group, _, variable = name.partition("/")
         if group not in self._groups:
-            self._groups[group] = group_of(self, group)
-        return self._groups[group][variable] if variable else self._groups[group]
+            self._groups[group] = read_only_dataset(group_of(self, group))
+        found = self._groups[group].copy(deep=False)
+        if not variable:
+            return found
+        try:
+            return found[variable]
+        except KeyError as error:
+            known = ", ".join(map(str, found.data_vars))
+            words = f"Unknown variable {variable!r} of the group {group!r} of a fit: it must be one of {known}."
+            raise InputError(words) from error
 
     def __contains__(self, name: object) -> bool:
         """Say whether there is a group of that name, with draws where it needs them."""

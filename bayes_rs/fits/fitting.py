@@ -93,7 +93,8 @@ def fit(
     Returns
     -------
     fit : Fit
-        The same object for any size, in memory or in a folder. Records that could not be fitted stay in it, flagged.
+        The same object for any size, in memory or in a folder. It keeps a copy of the records: what is done to them
+        afterwards does not change it. Records that could not be fitted stay in it, flagged.
         Of records at several ranges a `RangedFit`, which holds one for each.
 
     Raises
@@ -145,6 +146,8 @@ def fit(
     used = scan_of_records(records, named)
     check_workers(workers, client)
     given = given_noise(noise)
+    if output is None:
+        records = records.copy(deep=True).load()  # a folder holds its own; in memory they would stay the caller's
     if isinstance(used, RangedScan):
         check_no_noise(given, used)
         job = RangeJob(records, used, own, choice, {"noise": noise_section(choice, None)})

@@ -87,9 +87,11 @@ def _survey(settings: Settings) -> Survey:
     own, files = settings.scan, list(settings.files.files)
     if not files:
         raise InputError("Scan auto is found in files, and none is given: name files, folders or patterns.")
+    from bayes_rs.fits.lidar_files import lidar_options  # noqa: PLC0415 - as above
+
     reading = settings.files
     wanted = {
-        **survey_options(reading),
+        **survey_options(lidar_options(settings, None)),
         "height": distances(reading.height)[:1] or None,
         "distance": distances(reading.range)[:1] or None,
         "any_gate": reading.range == ALL_RANGES,

@@ -19,6 +19,7 @@ from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.fit_writing import fit_into
 from bayes_rs.fits.fitting import noise_section
 from bayes_rs.fits.found_scan import with_found_scan
+from bayes_rs.fits.lidar_files import lidar_options
 from bayes_rs.fits.noise_choice import fit_inputs, noise_and_records, with_median_length_scale
 from bayes_rs.fits.plan import option_parts, plan_fit, version_parts, with_settings
 from bayes_rs.fits.prepare import check_beside_mast, check_noise_is_less
@@ -165,7 +166,7 @@ def _read(
         list(settings.files.files),
         scan,
         folder,
-        reading=settings.files,
+        reading=lidar_options(settings, scan),
         quality=settings.quality,
         workers=settings.output.workers,
         progress=progress,

@@ -87,7 +87,7 @@ def observed_data(fit: FitData) -> xr.Dataset:
 
 def sample_stats(fit: FitData) -> xr.Dataset:
     """Return diagnostics and flags of the records."""
-    rows, summary = fit.table("posterior"), fit.table("summary")
+    rows, summary = fit.source.read("posterior"), fit.source.read("summary")
     stresses = summary[summary["stress"].isin(STRESSES)]
     n_record = len(rows)
     of_stress = {
@@ -217,7 +217,7 @@ def attributes(fit: FitData) -> dict[str, Any]:
     run, own = fit.run, fit.settings["fit"]
     clipped = {}
     if own["target"] == "sonic":
-        values = fit.table("posterior")["sonic_clipped"].to_numpy(dtype=np.float64)
+        values = fit.source.read("posterior", ["record", "sonic_clipped"])["sonic_clipped"].to_numpy(dtype=np.float64)
         clipped = {"sonic_clipped": float(np.nanmax(values)) if np.isfinite(values).any() else 0.0}
     return {
         **{name: own[name] for name in ("target", "sampler", "likelihood", "instrument_noise", "seed", "target_ess")},

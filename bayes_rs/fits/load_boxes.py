@@ -11,6 +11,7 @@ import pandas as pd
 from bayes_rs._validation import FloatArray, as_generator, check_count, check_non_negative, check_positive
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit, check_fit
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.output import output_folder, write_csv
 from bayes_rs.progress import progress as progress_bar
@@ -35,7 +36,7 @@ class _Flow:
 
 def export_boxes(
     fit: Fit,
-    record: int | str,
+    record: RecordKey,
     output: str | Path,
     *,
     seed: int,
@@ -55,8 +56,8 @@ def export_boxes(
     ----------
     fit : Fit
         With draws.
-    record : int or str
-        Number of a record, or its start as ISO time (UTC).
+    record : int, str, datetime, Timestamp or datetime64
+        Number of a record, or its start (UTC; a text is an ISO time).
     output : str or Path
         Folder to write.
     seed : int
@@ -154,7 +155,7 @@ def export_boxes(
 
 def record_grid(
     fit: Fit,
-    record: int | str,
+    record: RecordKey,
     *,
     points: tuple[int, int, int] = (2048, 32, 32),
     size: tuple[float, float] = (160.0, 160.0),
@@ -166,8 +167,8 @@ def record_grid(
     ----------
     fit : Fit
         The fit.
-    record : int or str
-        Number of the record, or its start as ISO time (UTC).
+    record : int, str, datetime, Timestamp or datetime64
+        Number of the record, or its start (UTC; a text is an ISO time).
     points : tuple of int
         Points along the wind, across it and upwards.
     size : tuple of float

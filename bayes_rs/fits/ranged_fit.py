@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
-from bayes_rs.fits.fit_card import ranges_card
+from bayes_rs.fits.fit_card import UNREADABLE, ranges_card, unreadable_card, unreadable_words
 from bayes_rs.fits.fit_object import Fit
 from bayes_rs.fits.groups import group_names, has_group, tree_of
 from bayes_rs.fits.headline import Headline, headline_of_ranges
 from bayes_rs.fits.people_table import PeopleRows
+from bayes_rs.fits.read_only import read_only_dataset
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.fits.selection import Selection
 from bayes_rs.geometry.ranged_scan import RangedScan, nearest_range, short
 from bayes_rs.geometry.stress import STRESSES
@@ -96,7 +98,7 @@ class RangedFit(Fit):
     loaded : callable
         Not used.
     place : str
-        The folder, for messages; empty in memory.
+        The folder, a whole path; empty in memory.
     opened : sequence of callable or None
         What returns the fit of each range; None for a range without a record that can be fitted.
 
@@ -111,11 +113,17 @@ class RangedFit(Fit):
     def __repr__(self) -> str:
         """Say in one line what it is."""
         where = f", in {self.place!r}" if self.place else ""
-        return f"<RangedFit: {len(self.fits)} of {len(self.ranges)} ranges, scan {self.scan.name}{where}>"
+        try:
+            return f"<RangedFit: {len(self.fits)} of {len(self.ranges)} ranges, scan {self.scan.name}{where}>"
+        except UNREADABLE as error:  # what shows itself must not fail
+            return unreadable_words(self, error)
 
     def _repr_html_(self) -> str:
         """Say it in a notebook, with uu at each range."""
-        return ranges_card(self.profile() if self.fits else pd.DataFrame(), self.scan.name, self.range_names)
+        try:
+            return ranges_card(self.profile() if self.fits else pd.DataFrame(), self.scan.name, self.range_names)
+        except UNREADABLE as error:  # as above
+            return unreadable_card(self, error)
 
     @property
     def ranges(self) -> FloatArray:
@@ -242,13 +250,13 @@ class RangedFit(Fit):
             )
         )
 
-    def profile(self, record: int | str | None = None) -> pd.DataFrame:
+    def profile(self, record: RecordKey | None = None) -> pd.DataFrame:
         """Return the profile of stresses and turbulence intensity: what all records of each range say together.
 
         Parameters
         ----------
-        record : int or str, optional
-            Number of a record, or its start as ISO time (UTC), for the profile of this record alone.
+        record : int, str, datetime, Timestamp or datetime64, optional
+            Number of a record, or its start (UTC; a text is an ISO time), for the profile of this record alone.
 
         Returns
         -------
@@ -330,13 +338,17 @@ class RangedFit(Fit):
         return any(own.has_campaign for own in self.fits.values())
 
     @cached_property
-    def records(self) -> xr.Dataset:
-        """The records that were fitted, dims (range, record, beam); of the ranges that were."""
+    def _records(self) -> xr.Dataset:
         from bayes_rs.records.ranges import stack_ranges  # noqa: PLC0415 - not needed for the tables
 
         scan = self._of_ranges
         there = RangedScan.of(scan.of_one, scan.distance[list(self.fits)])
-        return stack_ranges([own.records for own in self.fits.values()], there)
+        return read_only_dataset(stack_ranges([own.records for own in self.fits.values()], there))
+
+    @property
+    def records(self) -> xr.Dataset:
+        """The records that were fitted, dims (range, record, beam); of the ranges that were; read-only as a `Fit`'s."""
+        return self._records.copy(deep=False)
 
     @property
     def n_record(self) -> int:
@@ -372,7 +384,7 @@ class RangedFit(Fit):
         """Starts of the records, shape (n_record of one range,)."""
         return next(iter(self.fits.values())).time
 
-    def to_datatree(self, record: int | str | None = None) -> xr.DataTree:
+    def to_datatree(self, record: RecordKey | None = None) -> xr.DataTree:
         """Return the fits in ArviZ's layout, with the dimension ``range`` before all others.
 
         Parameters
@@ -486,7 +498,7 @@ class RangedFit(Fit):
         return [*said[:_LISTED], *([f"and {more} more lines: see the fits of the ranges"] if more > 0 else [])]
 
 
-def _record_of(fit: Fit, record: int | str) -> pd.DataFrame:
+def _record_of(fit: Fit, record: RecordKey) -> pd.DataFrame:
     """Return the rows of one record at one range; none if it was not fitted."""
     try:
         number = fit.find_record(record)

@@ -6,16 +6,15 @@ from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_rs._validation import as_items
 from bayes_rs.errors import InputError, in_short
+from bayes_rs.fits.record_keys import RecordKey, as_start, is_time, record_numbers
 from bayes_rs.fits.summarizing import COLUMNS
-from bayes_rs.stated_time import stated_times
 
-Selection: TypeAlias = int | slice | ArrayLike
-"""Numbers of records, a slice of them or of their starts, or a truth value for each."""
+Selection: TypeAlias = RecordKey | slice | ArrayLike
+"""Numbers or starts of records, a slice of them, or a truth value for each."""
 
 
 def check_columns(columns: Sequence[str]) -> tuple[str, ...]:
@@ -40,7 +39,7 @@ def selected_records(
 
     Parameters
     ----------
-    records : int, slice or array_like
+    records : int, str, datetime, Timestamp, datetime64, slice or array_like
         As for `Fit.summary`.
     n_record : int
         Number of records.
@@ -54,7 +53,7 @@ def selected_records(
     """
     if isinstance(records, slice):
         ends = (records.start, records.stop)
-        if any(isinstance(end, (str, np.datetime64, pd.Timestamp)) for end in ends):
+        if any(isinstance(end, str) or is_time(end) for end in ends):
             return _between(*ends, records.step, time())
         if not all(end is None or isinstance(end, (int, np.integer)) for end in (*ends, records.step)):
             raise InputError(f"Invalid records {records!r}: give a slice of numbers, or of ISO times as texts.")
@@ -70,15 +69,12 @@ def selected_records(
         return np.flatnonzero(values)
     if values.size == 0:
         return np.empty(0, dtype=np.int64)
-    if values.dtype.kind not in "iu" or values.ndim != 1:
+    if values.dtype.kind not in "iuMUTO" or values.ndim != 1:
         raise InputError(
-            f"Invalid records {in_short(records)}: give numbers, a slice of numbers or of ISO times, or a truth value "
-            "for each record."
+            f"Invalid records {in_short(records)}: give numbers, a slice of numbers or of ISO times, starts, or a "
+            "truth value for each record."
         )
-    beyond = values[(values < 0) | (values >= n_record)]
-    if len(beyond):
-        raise InputError(f"No record {beyond[0]}: there are {n_record}, numbered from 0.")
-    return np.unique(values.astype(np.int64))
+    return record_numbers(values, n_record, time)
 
 
 def _between(start: object, stop: object, step: object, time: NDArray[np.datetime64]) -> NDArray[np.int64]:
@@ -88,8 +84,8 @@ def _between(start: object, stop: object, step: object, time: NDArray[np.datetim
     chosen = ~np.isnat(time)
     for end, wanted in ((start, np.greater_equal), (stop, np.less)):
         if end is not None:
-            stamp = stated_times(pd.Series([str(end)])).dt.tz_localize(None)[0]
-            if pd.isna(stamp):
+            stamp = as_start(end)
+            if np.isnat(stamp):
                 raise InputError(f"Invalid time {end!r} of records: give an ISO time such as 2020-09-04T12:00.")
-            chosen &= wanted(time, stamp.to_datetime64())
+            chosen &= wanted(time, stamp)
     return np.flatnonzero(chosen)

@@ -26,7 +26,7 @@ def summarize(fit: FitData, prob: float, interval: str, derived: Sequence[str], 
     check_choice(interval, tuple(INTERVALS), what="interval")
     check_derived(derived)
     check_choice(frame, FRAMES, what="frame")
-    records, table = fit.records, fit.table("summary")
+    records, table = fit.records, fit.source.read("summary")
     stresses = table[table["stress"].isin(STRESSES)]
     known = {
         name: stresses[name].to_numpy(dtype=np.float64).reshape(fit.n_record, len(STRESSES))

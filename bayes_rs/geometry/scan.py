@@ -17,6 +17,9 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan_card import scan_card, scan_rows
 
+_MOST_TURN = 4.0 * np.pi
+"""rad; two turns, which the directions of records may have."""
+
 
 def tilt_matrix(tilt: ArrayLike) -> FloatArray:
     """Return T_tilt, which acts on row vectors as n · T_tilt; a positive tilt raises the beam that points upwind.
@@ -81,7 +84,7 @@ class Scan:
     beam : array_like of int, shape (n_beam,), optional
         Number of each beam; 0, 1, 2 … if not given.
     tilt, yaw : float
-        Mounting angles, rad.
+        Mounting angles, rad: the tilt from −π/2 to π/2, the yaw from −2π to 2π (`load_scan` takes degrees).
     title, source : str
         What it is, and where the numbers come from.
     file_format : mapping
@@ -92,7 +95,8 @@ class Scan:
     Raises
     ------
     InputError
-        If a vector is not of unit length, a focus distance is not positive, or the shapes disagree.
+        If a vector is not of unit length, a focus distance is not positive, an angle is none in radians, or the shapes
+        disagree.
 
     Examples
     --------
@@ -219,7 +223,19 @@ class Scan:
         -------
         line_of_sight : ndarray, shape (..., n_beam, 3)
             Unit vectors in the mean-wind frame.
+
+        Raises
+        ------
+        InputError
+            If an angle is beyond 4π, as degrees are; records may have turned as far.
         """
+        beyond = np.abs(yaw) > _MOST_TURN
+        if np.any(beyond):
+            worst = np.asarray(yaw, dtype=np.float64)[beyond].flat[0]
+            raise InputError(
+                f"Invalid yaw {worst:g} rad: it must be from {-_MOST_TURN:g} to {_MOST_TURN:g} rad; it is in radians: "
+                "np.deg2rad makes them of degrees."
+            )
         return np.asarray(self.level_direction @ yaw_matrix(yaw), dtype=np.float64)
 
     def with_yaw(self, yaw: float) -> Scan:
@@ -238,7 +254,7 @@ class Scan:
         Raises
         ------
         InputError
-            If it is not finite.
+            If it is not finite, or beyond a turn, as degrees are.
         """
         return replace(self, yaw=yaw)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from bayes_rs._validation import check_choice
 from bayes_rs.errors import InputError
+from bayes_rs.models import check_is_name
 
 _YES = {"yes": True, "no": False}
 
@@ -88,9 +90,11 @@ def several_scans(name: str | Path) -> list[str]:
 
 def _written_changes(name: str | Path) -> tuple[str, dict[str, str]]:
     """Split a name from its changes as they are written."""
+    check_is_name(name, "scans")
     text = str(name)
     head, at, tail = text.rpartition("@")
-    if not at or Path(text).is_file() or (text.endswith(".toml") and "=" not in tail):
+    is_file = os.path.isfile(text)  # noqa: PTH113 - of a name that no file can have, Path.is_file raises
+    if not at or is_file or (text.endswith(".toml") and "=" not in tail):
         return text, {}
     changes: dict[str, str] = {}
     for change in tail.split(","):

@@ -125,8 +125,8 @@ class _Timing(Table):
 class _Mounting(Table):
     """How the instrument is mounted."""
 
-    tilt_deg: Angle = 0.0
-    yaw_deg: Angle = 0.0
+    tilt_deg: Annotated[float, Field(ge=-90.0, le=90.0, allow_inf_nan=False)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)] = 0.0
 
 
 class _PointProbe(Table):
@@ -224,7 +224,8 @@ def load_scan(
     opening_angle_deg : float, optional
         Another half-cone opening angle, degrees; for a rosette its largest one.
     focus_distance : float or sequence of float, optional
-        Another focus distance, m; several for several measurement planes.
+        Another focus distance along every beam, m, also where the file gives each beam its own; several for several
+        measurement planes.
     tilt_deg, yaw_deg : float, optional
         Another mounting, degrees.
     probe : str or Probe, optional
@@ -283,6 +284,8 @@ def load_scan(
             f"Scan {path.stem!r} lists its beams one by one, so opening_angle_deg={opening_angle_deg!r} does not "
             "apply: write a TOML file with the beams that you want."
         )
+    if focus_distance is not None:
+        table = _without_own_distances(table, path, focus_distance)
     new = {
         "beams": _given(opening_angle_deg=opening_angle_deg, focus_distance=_as_list(focus_distance))
         | _other_beams(table, path, n_beams, centre),
@@ -309,6 +312,24 @@ def _other_beams(table: dict[str, Any], path: Path, n_beams: int | None, centre:
     held = own.centre if centre is None else centre
     total = own.count + own.centre if n_beams is None else check_count(n_beams, what="n_beams")
     return {"count": total - held, "centre": held}
+
+
+def _without_own_distances(table: dict[str, Any], path: Path, focus_distance: Any) -> dict[str, Any]:
+    """Return a scan file without the focus distance of each beam, for one of all in its place."""
+    beams = _validate(table, path, {}).beams
+    if not isinstance(beams, _ListedBeams) or beams.focus_distance is not None:
+        return table
+    if _own_values(path.stem, beams, "focus_distance") is None:
+        return table
+    direction = beams.directions()
+    if len(np.unique(np.round(direction, _SAME_DIRECTION), axis=0)) < len(direction):
+        raise InputError(
+            f"Scan {path.stem!r} gives each beam its own focus_distance, and several to one direction, so "
+            f"focus_distance={in_short(focus_distance)} of all does not apply: write a TOML file with the "
+            "distances that you want."
+        )
+    bare = [{key: value for key, value in beam.items() if key != "focus_distance"} for beam in table["beams"]["beam"]]
+    return {**table, "beams": {**table["beams"], "beam": bare}}
 
 
 def _given(**arguments: Any) -> dict[str, Any]:
@@ -378,6 +399,7 @@ def _merge(base: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 _MOST_BASES, _MOST_NAME = 8, 200
+_SAME_DIRECTION = 6  # decimals of unit vectors
 _TAGS = ("cone", "rosette", "list", "point", "continuous-wave", "pulsed")  # pydantic names the kind of table, too
 
 
@@ -500,6 +522,11 @@ def as_scan(scan: Scan | str | Path) -> Scan:
     -------
     scan : Scan
         The scan.
+
+    Raises
+    ------
+    InputError
+        If it is anything else, such as records, or names no scan.
 
     Examples
     --------

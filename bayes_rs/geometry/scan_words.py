@@ -17,6 +17,7 @@ RECORD = 600.0
 WIDTH = 110
 _MOST_ROWS = 12  # beams of a table; of more the first and the last are shown
 _MOST_SAID = 3  # differences of two scans
+_SAME = 5e-10  # m, s, or of unit vectors: what the key of a scan is rounded to
 _SEVERAL = 1e-6  # m and rad by which beams differ
 
 
@@ -82,7 +83,15 @@ def scan_difference(one: Scan, other: Scan) -> str:
         for scan in (one, other)
     ]
     said = [f"{name} {value} and {rows[1][name]}" for name, value in rows[0].items() if value != rows[1][name]]
-    return ", ".join(said[:_MOST_SAID]) or "directions, distances or times of single beams"
+    if said:
+        return ", ".join(said[:_MOST_SAID])
+    of_beams = {
+        "directions": (one.level_direction, other.level_direction),
+        "distances": (one.focus_distance, other.focus_distance),
+        "times": (one.beam_time, other.beam_time),
+    }
+    differ = [name for name, (ours, theirs) in of_beams.items() if np.any(np.abs(ours - theirs) > _SAME)]
+    return f"{' and '.join(differ) or 'directions, distances or times'} of single beams"
 
 
 def beam_table(scan: Scan, more: dict[str, list[str]] | None = None) -> list[str]:

@@ -37,7 +37,7 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
     Raises
     ------
     InputError
-        If the ending is another, or the file exists.
+        If the ending is another, the file exists, or what is given is no scan.
 
     Examples
     --------
@@ -51,6 +51,10 @@ def save_scan(scan: Scan, path: str | Path, *, overwrite: bool = False) -> Path:
     file = Path(path)
     if file.suffix != ".toml":
         raise InputError(f"Invalid scan file {str(file)!r}: its name must end in .toml; add the ending.")
+    if not isinstance(scan, Scan):
+        raise InputError(
+            f"Invalid scan of type {type(scan).__name__}: it must be a Scan, as load_scan or find_scan returns it."
+        )
     text = scan_text(scan)
     with output_file(file, overwrite=overwrite) as part:
         part.write_text(text, encoding="utf-8", newline="\n")

@@ -19,6 +19,7 @@ from bayes_rs._validation import FloatArray, as_items, check_array, check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.fits.campaign_words import share_words
 from bayes_rs.fits.fit_object import Fit, check_fit
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import INTERVALS, interval_of, interval_words
 from bayes_rs.pictures import (
@@ -41,7 +42,7 @@ _Given = TypeVar("_Given", bound=FigureBase)
 
 def corner(
     fit: Fit,
-    record: int | str = 0,
+    record: RecordKey = 0,
     *,
     prob: float | None = None,
     interval: str | None = None,
@@ -57,8 +58,8 @@ def corner(
     ----------
     fit : Fit
         From `fit` or `open_fit`; it kept its draws.
-    record : int or str
-        Number of the record, or its start as ISO time (UTC).
+    record : int, str, datetime, Timestamp or datetime64
+        Number of the record, or its start (UTC; a text is an ISO time).
     prob : float, optional
         Probability of the intervals in the titles, by default that of the fit.
     interval : {"equal-tailed", "highest-density"}, optional
@@ -148,7 +149,7 @@ def corner(
     return target  # type: ignore[return-value] # what was given, or new
 
 
-def prior_at_size(fit: Fit, record: int | str) -> FloatArray:
+def prior_at_size(fit: Fit, record: RecordKey) -> FloatArray:
     """Return draws of the prior's shape R/(uu + vv + ww) times the trace of a record's posterior, shape (n, 6)."""
     return _draws(fit, check_fit(fit).find_record(record))[1]
 
@@ -169,7 +170,7 @@ def default_limits(samples: Sequence[FloatArray]) -> FloatArray:
     return np.stack([np.where(np.arange(6) < 3, np.minimum(low, 0.0), low), high], axis=1)
 
 
-def corner_limits(fits: Sequence[Fit], records: Sequence[int | str]) -> FloatArray:
+def corner_limits(fits: Sequence[Fit], records: Sequence[RecordKey]) -> FloatArray:
     """Return axis limits, shape (6, 2), that suit corner plots of records of several fits."""
     pairs = zip(fits, records, strict=True)
     samples = [part for fit, record in pairs for part in _draws(fit, check_fit(fit).find_record(record))]

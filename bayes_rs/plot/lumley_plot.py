@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.fits.derived import lumley_coordinates
 from bayes_rs.fits.fit_object import Fit, check_fit
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.fits.shape_points import ShapePoints, shape_is_priors, shape_points
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
@@ -25,7 +26,7 @@ _Given = TypeVar("_Given", bound=Axes)
 
 
 def lumley(
-    fit: Fit, record: int | str | None = None, *, truth: ArrayLike | None = None, ax: _Given | None = None
+    fit: Fit, record: RecordKey | None = None, *, truth: ArrayLike | None = None, ax: _Given | None = None
 ) -> _Given | Picture:
     """Draw the anisotropy of the Reynolds stresses in Lumley's triangle.
 
@@ -33,9 +34,9 @@ def lumley(
     ----------
     fit : Fit
         From `fit` or `open_fit`.
-    record : int or str, optional
-        Number of a record, or its start as ISO time (UTC), whose draws are shown, if they were kept; by default the
-        points of all records, each with its interval.
+    record : int, str, datetime, Timestamp or datetime64, optional
+        Number of a record, or its start (UTC; a text is an ISO time), whose draws are shown, if they were kept;
+        by default the points of all records, each with its interval.
     truth : array_like, shape (6,) or (n_record, 6), optional
         Known stresses to mark, the same for all records or each record's own, m² s⁻².
     ax : Axes, optional

@@ -16,6 +16,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.ranged_fit import RangedFit
+from bayes_rs.fits.record_keys import RecordKey
 from bayes_rs.geometry.stress import STRESSES
 from bayes_rs.intervals import interval_words
 from bayes_rs.pictures import BEHIND, DATA_MARK, PRIOR_MARK, Picture, new_or_given
@@ -25,16 +26,16 @@ from bayes_rs.posteriors.decided import PRIORS, is_priors
 _Given = TypeVar("_Given", bound=FigureBase)
 
 
-def profile(fit: Fit, record: int | str | None = None, *, figure: _Given | None = None) -> _Given | Picture:
+def profile(fit: Fit, record: RecordKey | None = None, *, figure: _Given | None = None) -> _Given | Picture:
     """Draw the stresses and the turbulence intensity over the ranges, or over the heights of a scan that looks up.
 
     Parameters
     ----------
     fit : RangedFit
         From `fit` or `open_fit`, at several ranges.
-    record : int or str, optional
-        Number of a record, or its start as ISO time (UTC); by default all records together, as `RangedFit.profile`
-        has them.
+    record : int, str, datetime, Timestamp or datetime64, optional
+        Number of a record, or its start (UTC; a text is an ISO time); by default all records together, as
+        `RangedFit.profile` has them.
     figure : Figure or SubFigure, optional
         Where to draw.
 
@@ -77,7 +78,7 @@ def profile(fit: Fit, record: int | str | None = None, *, figure: _Given | None 
     return target  # type: ignore[return-value] # what was given, or new
 
 
-def _behind(fit: RangedFit, record: int | str | None, prob: float, kind: str) -> dict[str, FloatArray]:
+def _behind(fit: RangedFit, record: RecordKey | None, prob: float, kind: str) -> dict[str, FloatArray]:
     """Return the prior's band of each quantity: rows of range, low and high."""
     rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in ("ti", *STRESSES)}
     for place, own in fit.fits.items():
@@ -96,7 +97,7 @@ def _behind(fit: RangedFit, record: int | str | None, prob: float, kind: str) ->
     return {name: np.array(found).reshape(-1, 3) for name, found in rows.items()}
 
 
-def _number(own: Fit, record: int | str) -> int:
+def _number(own: Fit, record: RecordKey) -> int:
     """Return the number of a record at one range; −1 if it was not fitted there."""
     try:
         return own.find_record(record)

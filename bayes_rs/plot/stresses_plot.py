@@ -35,9 +35,12 @@ from bayes_rs.pictures import (
 )
 from bayes_rs.plot.style import known_stresses, prior_band, prior_words
 from bayes_rs.posteriors.decided import PRIORS, is_priors
+from bayes_rs.records.layout import TURBINE
 
 MOST_POINTS = 3000
 """Records of which each is drawn; of more, medians over so many in a row that there are at most that many points."""
+_TOLERANCE = 1.5
+"""A step to the next record that is so many times as long as a record is a gap, as in the report."""
 _Given = TypeVar("_Given", bound=FigureBase)
 
 
@@ -70,8 +73,9 @@ def stresses(
         What was given, or a new figure. Six panels: median, 50 % band and `prob` band; of a fit that kept no draws,
         median and interval of its summary. Where the data decided less than half of a stress of a record
         (`is_priors`), both are hatched grey. Behind them is the prior's band at the record's size
-        (`prior_interval_at_size`). Records that were not fitted or are flagged are marked below. Of more than
-        `MOST_POINTS` records, points are medians over records in a row.
+        (`prior_interval_at_size`). Lines and bands stop where there are no records for longer than one lasts, and
+        between turbines. Records that were not fitted or are flagged are marked below. Of more than `MOST_POINTS`
+        records, points are medians over records in a row.
 
     Raises
     ------
@@ -97,11 +101,14 @@ def stresses(
         values = np.stack([_medians(values[:, first : first + size]) for first in of_points.tolist()], axis=1)
         names = [f"{name}, medians over {size} records" for name in names]
     truth_style = _truth_style(fit.n_record)
+    gaps = _gaps(fit, of_points, size, has_time=has_time)
+    at, values = _with_gaps(when, values, gaps)
+    shown_marks = None if marks is None else _with_gaps(when, marks[of_points].T, gaps)[1]
     for index, (axis, name) in enumerate(zip(axes, STRESSES, strict=True)):
-        _draw_bands(axis, when, values[: len(bands), :, index], values[-3:-1, :, index], values[-1, :, index])
+        _draw_bands(axis, at, values[: len(bands), :, index], values[-3:-1, :, index], values[-1, :, index])
         axis.set_title(_decided_words(values[-1, :, index]), loc="right", fontsize=9, pad=3)
-        if marks is not None:
-            axis.plot(when, marks[of_points, index], **truth_style)
+        if shown_marks is not None:
+            axis.plot(at, shown_marks[index], **truth_style)
         if index >= 3:
             axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"{name}\n[m² s⁻²]")
@@ -144,6 +151,31 @@ def _bands(fit: Fit, prob: float, kind: str) -> tuple[FloatArray, list[str]]:
     return np.stack(list(columns.values())), [interval_words(prob, kind)]
 
 
+def _gaps(fit: Fit, of_points: NDArray[np.int64], size: int, *, has_time: bool) -> NDArray[np.int64]:
+    """Return the points after which there are no records for longer than a point lasts, or those of another turbine."""
+    if len(of_points) < 2:
+        return np.empty(0, dtype=np.int64)
+    if not has_time:
+        if TURBINE not in fit.records:
+            return np.empty(0, dtype=np.int64)
+        names = fit.records[TURBINE].values[of_points]
+        return np.flatnonzero(names[1:] != names[:-1])
+    steps = np.diff(fit.time) / np.timedelta64(1, "s")
+    lasts = float(fit.records.attrs.get("duration", np.median(steps)))
+    # the longest step from the first record of a point to that of the next
+    longest = np.maximum.reduceat(steps[: of_points[-1]], of_points[:-1])
+    return np.flatnonzero(longest > _TOLERANCE * lasts * size)
+
+
+def _with_gaps(when: NDArray[Any], values: FloatArray, gaps: NDArray[np.int64]) -> tuple[NDArray[Any], FloatArray]:
+    """Put a point without values, values (n, n_point, ...), halfway into each gap: nothing is drawn across it."""
+    after = gaps + 1
+    middles = when[gaps] + (when[after] - when[gaps]) / 2
+    return np.insert(when if when.dtype.kind == "M" else when.astype(np.float64), after, middles), np.insert(
+        values, after, np.nan, axis=1
+    )
+
+
 def _medians(values: FloatArray) -> FloatArray:
     """Return the medians of values (n, n_record, 6) over the fitted records; NaN if there are none."""
     fitted = np.isfinite(values[0]).all(axis=1)
@@ -170,8 +202,11 @@ def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: Float
         _draw_one(axis, when, bands, behind, of_prior=bool(of_prior[0]))
         return
     axis.fill_between(when, *behind, **BEHIND)
+    alone = _alone(fitted)
+    if alone.any():
+        axis.vlines(when[alone], *behind[:, alone], color=PRIOR_COLOUR, alpha=BEHIND["alpha"], linewidth=6)
     at, levels = with_middles(when, bands)
-    marker = "o" if len(when) < 40 else ""
+    marker = "o" if np.count_nonzero(fitted) < 40 else ""
     blue: dict[str, Any] = {"color": POSTERIOR_COLOUR, "linewidth": 0}
     grey: dict[str, Any] = {"color": PRIOR_COLOUR, "linewidth": 0, "alpha": 0.3}
     for mask, style, line, faces in (
@@ -186,10 +221,10 @@ def _draw_bands(axis: Axes, when: NDArray[Any], bands: FloatArray, behind: Float
         middle = len(bands) // 2
         axis.plot(at, np.where(where, levels[middle], np.nan), linewidth=1.2, linestyle=line, **style)
         axis.plot(when[mask], bands[middle][mask], linestyle="", marker=marker, markersize=3.5, **style)
-        alone = mask & _alone(fitted)
-        if alone.any():  # no band reaches it
-            ends = np.abs(bands[[0, -1]] - bands[middle])[:, alone]
-            axis.errorbar(when[alone], bands[middle][alone], yerr=ends, fmt="o", markersize=4, capsize=2, **style)
+        if (mask & alone).any():  # no band reaches it
+            own = bands[:, mask & alone]
+            ends = np.abs(own[[0, -1]] - own[middle])
+            axis.errorbar(when[mask & alone], own[middle], yerr=ends, fmt="o", markersize=4, capsize=2, **style)
 
 
 def _alone(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from bayes_rs.errors import InputError
 from bayes_rs.readers.cfradial import cfradial_rays
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_NETCDF_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
@@ -71,4 +71,5 @@ READER = Reader(
     rays=arm_rays,
     defaults={"positive": "away"},
     in_utc=True,
+    uses=OF_NETCDF_RAYS,
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from bayes_rs.errors import InputError
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_NETCDF_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
@@ -160,4 +160,5 @@ READER = Reader(
     own_options=own_options,
     defaults={"positive": "away"},
     in_utc=True,
+    uses=OF_NETCDF_RAYS,
 )

@@ -10,7 +10,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,6 +43,15 @@ UNREADABLE = (
 NOT_THE_FILE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 """What the system fails with whatever the file is."""
 
+_BEGINNINGS = {
+    b"PAR1\x15": ".parquet",  # and the first field of its first page or footer: a heading may begin with PAR1
+    b"\x89HDF\r\n\x1a\n": ".nc",
+    b"CDF\x01": ".nc",
+    b"CDF\x02": ".nc",
+    b"CDF\x05": ".nc",
+}
+"""How files begin that are known by it, whatever they are called, and the suffix that they should have."""
+
 _BLOCK = 1 << 20
 
 
@@ -52,6 +61,20 @@ def plain_suffix(file: Path) -> str:
     if suffixes and suffixes[-1] in COMPRESSIONS:
         suffixes.pop()
     return suffixes[-1] if suffixes else ""
+
+
+def own_suffix(file: Path) -> str:
+    """Return the suffix that a file should have by how it begins, or its own where that does not tell.
+
+    Parameters
+    ----------
+    file : Path
+        The file, also compressed.
+    """
+    with suppress(*UNREADABLE):  # whoever reads it says what is wrong
+        begins = first_bytes(file, max(map(len, _BEGINNINGS)))
+        return next((suffix for first, suffix in _BEGINNINGS.items() if begins.startswith(first)), plain_suffix(file))
+    return plain_suffix(file)
 
 
 def unreadable(file: Path, error: BaseException, *, as_what: str = "") -> InputError:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_NETCDF_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
@@ -162,4 +162,5 @@ READER = Reader(
     rays=e_windlidar_rays,
     defaults={"time_stamp": "start"},
     in_utc=True,
+    uses=OF_NETCDF_RAYS,
 )

@@ -23,8 +23,12 @@ _NO_MARKS = {
     "phase": (-360.0, 360.0),
     "sx": (-1.0, 1.0),
     "sy": (-1.0, 1.0),
+    "tilt_deg": (-90.0, 90.0),
+    "roll_deg": (-90.0, 90.0),
+    "heading_deg": (-360.0, 360.0),
+    **dict.fromkeys(("u", "v", "w", "temperature", "uv", "uw", "vw"), (0.0, 0.0)),
 }
-"""Lowest and highest number of columns that is a status or a place: 0 may mark a velocity, and be north here."""
+"""Lowest and highest number of columns that marks nothing, by name: 0 may mark a velocity, and be north here."""
 
 
 @dataclass(frozen=True, kw_only=True)

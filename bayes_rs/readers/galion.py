@@ -9,7 +9,7 @@ import numpy as np
 from bayes_rs.errors import InputError
 from bayes_rs.readers.entries import numbers
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TEXT_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import GateRows, rays_of_rows
 from bayes_rs.readers.rays import Rays
@@ -128,4 +128,5 @@ READER = Reader(
     read=read_galion,
     rays=galion_rays,
     defaults={"positive": "away"},
+    uses=(*OF_TEXT_RAYS, "gate_length"),
 )

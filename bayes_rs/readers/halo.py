@@ -14,7 +14,7 @@ from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.rays import Rays, direction_of
 from bayes_rs.stated_time import stated_times
@@ -228,4 +228,5 @@ READER = Reader(
     rays=halo_rays,
     defaults={"positive": "away", "time_zone": "UTC"},
     in_utc=True,
+    uses=OF_RAYS,
 )

@@ -15,6 +15,18 @@ from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 
+OF_EVERY_FORMAT = (
+    *("file_format", "positive", "velocity_unit", "invalid", "velocity_limit", "time_zone", "time_stamp"),
+    *("sample_duration", "status_valid", "range", "height", "out_of_order", "on_bad_file"),
+)
+"""Options that every reader uses, or refuses in words of its own where a file has nothing that they are about."""
+OF_TEXT_FILES = ("separator", "skip_rows", "comment", "encoding")
+"""Options of tables that only those of text use."""
+OF_TABLES = (*OF_TEXT_FILES, "decimal", "time_format", "bad_rows", "columns")
+OF_RAYS = ("angle_tolerance_deg", "range_tolerance")
+OF_TEXT_RAYS = (*OF_RAYS, "decimal", "time_format", "bad_rows")
+OF_NETCDF_RAYS = (*OF_RAYS, "columns", "gates_by")
+
 
 @dataclass(frozen=True)
 class Reader:
@@ -52,6 +64,9 @@ class Reader:
         velocities are read. A survey of directions needs none of them.
     in_utc : bool
         Whether times of this format are UTC whatever an option says, as those of NetCDF files are.
+    uses : tuple of str, optional
+        Options that it uses beside those of every format. One that the caller gives, and that no reader of the files
+        uses, is refused. None if it does not say: then all count as used.
     """
 
     name: str
@@ -67,6 +82,7 @@ class Reader:
     own_options: Callable[[Path], Mapping[str, Any] | None] | None = None
     must_say: tuple[str, ...] = ()
     in_utc: bool = False
+    uses: tuple[str, ...] | None = None
 
     def with_zone(self, file: Path, options: FileOptions, file_format: FileFormat) -> FileFormat:
         """Return how to read a file, with the zone that its times are taken in: counted times are in UTC, too.

@@ -16,7 +16,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import BeamRanges, match_ranges, no_range
 from bayes_rs.readers.entries import beams, numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TABLES, Reader
 from bayes_rs.readers.samples import ROWS_AT_ONCE, Samples, joined
 from bayes_rs.readers.table import TABLE_SUFFIXES, Column, Table, open_table
 from bayes_rs.readers.unnamed_ranges import check_one_place, like_ranges
@@ -155,4 +155,5 @@ READER = Reader(
     read=read_long,
     pieces=long_pieces,
     ranges=ranges_of_table,
+    uses=(*OF_TABLES, "beam_numbers", "range_tolerance"),
 )

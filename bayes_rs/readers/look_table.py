@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT
-from bayes_rs.readers.compressed import UNREADABLE, plain_suffix, unreadable
+from bayes_rs.readers.compressed import UNREADABLE, own_suffix, unreadable
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.table import PARQUET_SUFFIXES
 
@@ -143,7 +143,7 @@ def look_at_table(file: Path, options: FileFormat) -> LookedTable:
         If it cannot be read.
     """
     own = {theirs: ours for ours, theirs in options.columns.items()}
-    if plain_suffix(file) in PARQUET_SUFFIXES:
+    if own_suffix(file) in PARQUET_SUFFIXES:
         try:
             parquet = pq.ParquetFile(file)
             batch = next(parquet.iter_batches(batch_size=MOST_ROWS), None)

@@ -17,7 +17,7 @@ from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.options import from_plain
 from bayes_rs.quality.groups import group_moments
 from bayes_rs.quality.spikes import DESPIKE, SPIKES, is_far_out, samples_words
-from bayes_rs.readers.compressed import plain_file, plain_suffix
+from bayes_rs.readers.compressed import own_suffix, plain_file
 from bayes_rs.readers.directions import CommonDirections, common_directions
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
@@ -103,7 +103,7 @@ def look(files: str | Path | Sequence[str | Path], **options: Any) -> Look:
         not_rays = error
     else:
         return _of_rays(head, paths, first, asked, named)
-    if plain_suffix(paths[0]) not in TABLE_SUFFIXES:
+    if own_suffix(paths[0]) not in TABLE_SUFFIXES:
         return _of_netcdf(head, paths[0], asked, named, not_rays)
     with plain_file(paths[0]) as plain:
         table = look_at_table(plain, resolve_format(asked, None))

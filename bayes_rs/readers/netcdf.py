@@ -181,4 +181,5 @@ READER = Reader(
     ranges=ranges_of_netcdf,
     own_options=own_options,
     in_utc=True,
+    uses=("columns", "beam_numbers", "range_tolerance"),
 )

@@ -13,13 +13,14 @@ from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.beam_ranges import no_range
 from bayes_rs.readers.belief import believed
-from bayes_rs.readers.compressed import COMPRESSIONS, plain_file, plain_suffix
+from bayes_rs.readers.compressed import COMPRESSIONS, own_suffix, plain_file, plain_suffix
 from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.registry import READERS
 from bayes_rs.readers.samples import Samples
-from bayes_rs.readers.table import open_table
+from bayes_rs.readers.table import PARQUET_SUFFIXES, open_table
 
 SUFFIXES = tuple(dict.fromkeys(suffix for reader in READERS.values() for suffix in reader.suffixes))
 """Suffixes of the files of all formats."""
@@ -71,6 +72,19 @@ def read_pieces(file: Path, scan: Scan, options: FileOptions, n_row: int) -> Ite
         yield from believed(named(_with_status(part, options)) for part in pieces(plain, scan, file_format, n_row))
 
 
+def found_reader(file: Path, scan: Scan, options: FileOptions) -> tuple[Reader, bool]:
+    """Return the reader of a file, and whether the file is text rather than Parquet or NetCDF.
+
+    Raises
+    ------
+    InputError
+        If no reader recognises it.
+    """
+    with _plain(file, options.file_format) as (plain, _):
+        reader = _find(plain, scan, options) if options.file_format == "auto" else READERS[options.file_format]
+        return reader, own_suffix(plain) not in (*PARQUET_SUFFIXES, *NETCDF_SUFFIXES)
+
+
 @contextmanager
 def opened_reader(file: Path, scan: Scan, options: FileOptions) -> Iterator[tuple[Reader, Path, FileFormat]]:
     """Give the reader of a file, the unpacked file, and the options that it is read with."""
@@ -97,7 +111,7 @@ def _plain(file: Path, kind: str) -> Iterator[tuple[Path, Callable[[Samples], Sa
     reason = why_not(file)
     if reason is not None:
         raise InputError(reason)
-    if kind == "auto" and suffix not in SUFFIXES:
+    if kind == "auto" and suffix not in SUFFIXES and own_suffix(file) not in SUFFIXES:
         raise InputError(
             f"Unknown suffix {suffix!r} of file {str(file)!r}: it must be one of {', '.join(SUFFIXES)}, also "
             f"compressed ({', '.join(COMPRESSIONS)}); rename the file, or give its file_format."
@@ -138,7 +152,7 @@ def _check_said(file: Path, reader: Reader, file_format: FileFormat) -> None:
 
 
 def _find(file: Path, scan: Scan, options: FileOptions) -> Reader:
-    suffix = plain_suffix(file)
+    suffix = own_suffix(file)
     for reader in READERS.values():
         if suffix in reader.suffixes:
             file_format = resolve_format(options, scan, defaults=reader.defaults)

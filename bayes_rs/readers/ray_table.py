@@ -17,7 +17,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers
 from bayes_rs.readers.format import FileFormat
 from bayes_rs.readers.headings import Heading, unknown_unit
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_RAYS, OF_TABLES, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import GateRows, check_angles, check_heights, counts_of, rays_of_rows
 from bayes_rs.readers.ray_headings import RayColumns, find_ray_columns, looks_like_rays
@@ -280,7 +280,8 @@ def _reader(name: str, **more: Any) -> Reader:
     def rays(file: Path, file_format: FileFormat) -> Rays:
         return ray_table_rays(file, file_format, kind=name)
 
-    return Reader(name=name, suffixes=TABLE_SUFFIXES, read=by_rays(rays), rays=rays, **more)
+    uses = (*OF_TABLES, *OF_RAYS, "gate_length", "gates_by")
+    return Reader(name=name, suffixes=TABLE_SUFFIXES, read=by_rays(rays), rays=rays, uses=uses, **more)
 
 
 MOLAS = _reader(

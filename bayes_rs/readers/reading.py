@@ -23,6 +23,7 @@ from bayes_rs.readers.one_file import SUFFIXES, read_file
 from bayes_rs.readers.ranged_series import with_ranges
 from bayes_rs.readers.registry import FORMATS
 from bayes_rs.readers.samples import FilesReport, Samples, check_order, join_samples, no_sample, none_read
+from bayes_rs.readers.used_options import check_used
 
 __all__ = ["FileOptions", "checked_options", "read"]
 
@@ -46,7 +47,8 @@ def read(
     **options
         How the files are written, and what to do with bad ones: the fields of `bayes_rs.readers.FileOptions`, as
         ``positive="towards"`` or ``columns={"radial_velocity": "RWS"}``. An option that is given counts before the
-        scan's own ``[file]`` table, which counts before the default of the file's format.
+        scan's own ``[file]`` table, which counts before the default of the file's format. One that no reader of the
+        files uses is refused.
 
     Returns
     -------
@@ -87,6 +89,7 @@ def read(
     of_scan = as_scan(scan)
     chosen = checked_options(options, of_scan)
     found = find_files(files, SUFFIXES)
+    check_used(found.paths, of_scan, chosen)
     at_ranges = scan_at_ranges(found.paths, of_scan, chosen)
     parts: list[Samples] = []
     skipped: list[dict[str, str]] = []

@@ -14,7 +14,7 @@ from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.compressed import UNREADABLE, unreadable
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_RAYS, Reader
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
 from bayes_rs.readers.sequence import match_sequence
@@ -205,4 +205,5 @@ READER = Reader(
     read=read_spinnerlidar,
     rays=spinnerlidar_rays,
     defaults=DEFAULTS,
+    uses=(*OF_RAYS, "separator", "decimal", "time_format", "columns"),
 )

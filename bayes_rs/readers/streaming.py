@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -33,6 +33,7 @@ from bayes_rs.readers.samples import (
     none_read,
     time_goes_backwards,
 )
+from bayes_rs.readers.used_options import check_used
 
 HOLD_BACK = np.timedelta64(60, "s")
 """How far the samples of one file may be out of time's order, over the border of two pieces."""
@@ -105,9 +106,22 @@ def stream(
     if window == 0:
         raise InputError(f"Invalid period {period!r} s: it must be at least a nanosecond.")
     found = find_files(files, SUFFIXES)
-    of_scan = scan_at_ranges(found.paths, of_scan, chosen)
-    merged = _Merge(of_scan, chosen, n_row, dict(found.passed_over))
-    return merged.series(found.paths, window)
+    check_used(found.paths, of_scan, chosen)
+    return stream_files(found.paths, of_scan, chosen, chunk_rows=n_row, window=window, passed_over=found.passed_over)
+
+
+def stream_files(
+    paths: Sequence[Path],
+    scan: Scan,
+    options: FileOptions,
+    *,
+    chunk_rows: int = 500_000,
+    window: int | None = None,
+    passed_over: Mapping[str, int] | None = None,
+) -> Iterator[xr.Dataset]:
+    """Give the series of files that are there, as `stream` does, with options that are right; a window is in ns."""
+    at_ranges = scan_at_ranges(paths, scan, options)
+    return _Merge(at_ranges, options, chunk_rows, dict(passed_over or {})).series(paths, window)
 
 
 def series_of_read(

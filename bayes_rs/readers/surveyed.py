@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray, check_choice
 from bayes_rs.errors import InputError
 from bayes_rs.file_options import FileOptions
-from bayes_rs.geometry.scan import Scan
-from bayes_rs.readers.compressed import plain_file, plain_suffix
+from bayes_rs.readers.compressed import own_suffix, plain_file
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import resolve_format
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
@@ -21,6 +20,7 @@ from bayes_rs.readers.netcdf_file import glance
 from bayes_rs.readers.not_read import why_not
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.registry import READERS
+from bayes_rs.readers.used_options import NO_SCAN, check_used
 
 RAY_READERS = {name: reader for name, reader in READERS.items() if reader.rays is not None}
 """The formats whose rays say where they point."""
@@ -62,7 +62,9 @@ def survey_files(
     suffixes = [suffix for reader in RAY_READERS.values() for suffix in reader.suffixes]
     found: list[SurveyedFile] = []
     skipped: dict[Path, str] = {}
-    for path in find_files(files, suffixes).paths:
+    paths = find_files(files, suffixes).paths
+    check_used(paths, None, options)
+    for path in paths:
         try:
             found.append(_surveyed(path, options))
         except InputError as error:
@@ -88,15 +90,15 @@ def rays_of(path: Path, options: FileOptions) -> Rays:
     reason = why_not(path)
     if reason is not None:
         raise InputError(reason)
-    nothing = Scan("none", np.array([[0.0, 0.0, 1.0]]), np.ones(1), np.zeros(1), scan_duration=1.0)
     with plain_file(path) as plain:
         try:
+            suffix = own_suffix(plain)
             for name, reader in RAY_READERS.items():
                 resolved = resolve_format(options, None, defaults=reader.defaults)
-                fits = plain_suffix(plain) in reader.suffixes
-                if name == kind or (kind == "auto" and fits and reader.recognises(plain, nothing, resolved)):
+                fits = suffix in reader.suffixes
+                if name == kind or (kind == "auto" and fits and reader.recognises(plain, NO_SCAN, resolved)):
                     return reader.rays(plain, reader.with_zone(plain, options, resolved))  # type: ignore[misc]  # those of RAY_READERS are not None
-            if plain_suffix(plain) in NETCDF_SUFFIXES:
+            if suffix in NETCDF_SUFFIXES:
                 glance(plain)  # a damaged one says so: no reader recognises it
         except InputError as error:
             raise InputError(str(error).replace(repr(str(plain)), repr(str(path)))) from error

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bayes_rs.errors import InputError
 from bayes_rs.readers.bad_rows import BadRows
-from bayes_rs.readers.compressed import UNREADABLE, plain_suffix, unreadable
+from bayes_rs.readers.compressed import UNREADABLE, own_suffix, unreadable
 from bayes_rs.readers.csv_careful import careful_pieces
 from bayes_rs.readers.csv_fast import NotPlainError, fast_pieces
 from bayes_rs.readers.csv_lines import NO_CHARACTER, Lines, last_row_is_cut, lines_of, offset_behind
@@ -243,7 +243,7 @@ def open_table(file: Path, file_format: FileFormat, *, skip: int = 0) -> Table:
         If the file is empty, or is not what its suffix says.
     """
     drop = file_format.bad_rows == "drop"
-    if plain_suffix(file) in PARQUET_SUFFIXES:
+    if own_suffix(file) in PARQUET_SUFFIXES:
         headings = tuple(name.strip() for name in _parquet_names(file) if not _INDEX.fullmatch(name))
         return Table(file, headings, file_format, BadRows(file, "row", drop))
     try:

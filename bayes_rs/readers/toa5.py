@@ -50,6 +50,7 @@ def read_sonic(
     columns: Mapping[str, str] | None = None,
     time_zone: str = "UTC",
     status_most: float | None = None,
+    invalid: float | Sequence[float] | None = None,
 ) -> xr.Dataset:
     """Read the wind of a sonic anemometer from a Campbell logger's TOA5 files.
 
@@ -64,6 +65,8 @@ def read_sonic(
         Zone of the times, which the files do not say.
     status_most : float, optional
         Largest status of a good sample; velocities and temperatures of the others are missing, and counted.
+    invalid : float or sequence of float, optional
+        Numbers that mark a missing entry, such as -9999. A 0 is never missing.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def read_sonic(
         if name not in NAMES:
             raise InputError(f"Unknown name {name!r} in columns: it must be one of {', '.join(NAMES)}.")
     most = None if status_most is None else check_finite(status_most, what="status_most", unit="")
-    file_format = resolve_format(FileOptions(time_zone=time_zone), None)
+    file_format = resolve_format(FileOptions(time_zone=time_zone, invalid=invalid), None)
     parts, counted, names = [], [], []
     for file in find_files(files, SUFFIXES).paths:
         with plain_file(file) as plain:

@@ -13,7 +13,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import beam_number, numbers, times, unknown_beam
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TABLES, Reader
 from bayes_rs.readers.samples import ROWS_AT_ONCE, Samples, joined
 from bayes_rs.readers.table import TABLE_SUFFIXES, Table, open_table
 
@@ -143,4 +143,5 @@ READER = Reader(
     recognises=lambda file, scan, file_format: looks_wide(open_table(file, file_format), scan),
     read=read_wide,
     pieces=wide_pieces,
+    uses=(*OF_TABLES, "beam_numbers"),
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 from bayes_rs.errors import InputError
 from bayes_rs.readers.cfradial import velocities_in
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_NETCDF_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import glance
@@ -120,4 +120,5 @@ READER = Reader(
     rays=windcube_rays,
     defaults={"positive": "away", "time_stamp": "end", "status_valid": STATUS_VALID},
     in_utc=True,
+    uses=OF_NETCDF_RAYS,
 )

@@ -14,7 +14,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import as_zone
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TEXT_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import check_angles, counts_of
 from bayes_rs.readers.rays import Rays, direction_of
@@ -241,4 +241,5 @@ READER = Reader(
     read=read_windcube_text,
     rays=windcube_text_rays,
     defaults={"positive": "towards", "time_zone": "UTC"},
+    uses=OF_TEXT_RAYS,
 )

@@ -10,7 +10,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.format import FileFormat
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TEXT_RAYS, Reader
 from bayes_rs.readers.matching import by_rays
 from bayes_rs.readers.ray_groups import check_angles, counts_of
 from bayes_rs.readers.rays import Rays, direction_of
@@ -143,4 +143,5 @@ READER = Reader(
     read=read_windscanner,
     rays=windscanner_rays,
     defaults=DEFAULTS,
+    uses=(*OF_TEXT_RAYS, "separator"),
 )

@@ -21,7 +21,7 @@ from bayes_rs.readers.compressed import UNREADABLE, plain_file, unreadable
 from bayes_rs.readers.entries import numbers, times
 from bayes_rs.readers.folders import find_files
 from bayes_rs.readers.format import FileFormat, resolve_format
-from bayes_rs.readers.interface import Reader
+from bayes_rs.readers.interface import OF_TABLES, Reader
 from bayes_rs.readers.matching import match_rays
 from bayes_rs.readers.rays import Rays
 from bayes_rs.readers.samples import Samples
@@ -471,4 +471,5 @@ READER = Reader(
     recognises=recognises_zx,
     read=read_zx,
     defaults=DEFAULTS,
+    uses=(*OF_TABLES, "angle_tolerance_deg", "phase_zero_deg", "phase_turns"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -44,15 +45,21 @@ def check_are_records(records: xr.Dataset, *, ranges: bool = False) -> None:
 
 
 def check_starts(records: xr.Dataset, advice: str) -> None:
-    """Check that no two records of a turbine have the same start.
+    """Check that records that have starts all have one, and no two of a turbine the same.
 
     Raises
     ------
     InputError
-        If two have.
+        If one has none, or two have the same.
     """
     if "time" not in records.coords or records["time"].dims != ("record",):
         return
+    missing = np.flatnonzero(records["time"].isnull().values)
+    if 0 < len(missing) < records.sizes["record"]:
+        raise InputError(
+            f"Invalid records: {len(missing)} of {records.sizes['record']} have no start (time NaT), the first is "
+            f"record {missing[0]}: give each its start, leave these out, or drop 'time' from all."
+        )
     names = [name for name in ("time", TURBINE) if name in records.variables]
     again = pd.DataFrame({name: records[name].values for name in names}).duplicated().to_numpy()
     again = again & records["time"].notnull().values
@@ -87,15 +94,38 @@ def what_differs(data: xr.Dataset, key: str, scan: Scan) -> str:
     mounted: dict[str, Any] = {}
     if "tilt" in data and "motion_count" not in data:
         mounted = {"tilt_deg": float(np.nanmedian(data["tilt"].values))}
-    candidates = [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
+    candidates = []
+    with suppress(InputError):  # a tilt that no scan can have
+        candidates += [replace(scan, tilt=np.deg2rad(mounted["tilt_deg"]))] if mounted else []
     with suppress(InputError):  # the name need not mean anything here
         name = str(data.attrs.get("scan", ""))
         candidates += [load_scan(name, **more) for more in ({}, mounted)]
+    candidates += [timed for one in (*candidates, scan) for timed in _with_other_times(data, one)]
     for made in candidates:
         if made.key == key:
             what = "samples" if "radial_velocity" in data else "records"
             return f"{scan_difference(made, scan)}, in the {what} and now"
-    return "an option that its name does not tell, such as the opening angle, focus distance or tilt"
+    return (
+        "an option that its name does not tell, such as the opening angle, focus distance, tilt, cycle or times of the "
+        "beams"
+    )
+
+
+def _with_other_times(data: xr.Dataset, scan: Scan) -> Iterator[Scan]:
+    """Give a scan with the cycles that samples or records may have been measured in, and times of its beams in each."""
+    cycles = [scan.scan_duration]
+    if "radial_velocity" in data:
+        of_beam = data["time"].values[data["beam"].values == scan.beam[0]]
+        steps = np.diff(np.sort(of_beam)) / np.timedelta64(1, "s")
+        cycles += [float(np.median(steps))] if len(steps) else []
+    elif "count" in data and "duration" in data.attrs and int(data["count"].max()) > 0:
+        cycles.append(float(data.attrs["duration"]) / int(data["count"].max()))
+    for cycle in cycles:
+        # as scans are written, so that the key is the same
+        rounded = float(f"{cycle:.6g}")
+        for times in (scan.beam_time * (rounded / scan.scan_duration), np.zeros(scan.n_beam)):
+            with suppress(InputError):
+                yield replace(scan, scan_duration=rounded, beam_time=times)
 
 
 def check_is_series(series: xr.Dataset, *, ranges: bool = False) -> None:

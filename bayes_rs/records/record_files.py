@@ -12,6 +12,8 @@ from bayes_rs.errors import InputError
 from bayes_rs.geometry.ranged_scan import RangedScan
 from bayes_rs.geometry.scan import Scan
 from bayes_rs.geometry.scan_file import as_scan
+from bayes_rs.readers.compressed import own_suffix
+from bayes_rs.readers.netcdf_file import SUFFIXES as NETCDF_SUFFIXES
 from bayes_rs.readers.netcdf_file import load_netcdf
 from bayes_rs.records.belief import NOT_BELIEVED, add_not_believed, believed
 from bayes_rs.records.given import check_starts, what_differs
@@ -41,7 +43,7 @@ def open_records(path: str | Path, scan: Scan | str | Path) -> xr.Dataset | None
         atmosphere has.
     """
     file = Path(path)
-    if file.suffix not in (".nc", ".nc4") or not file.is_file():
+    if not file.is_file() or own_suffix(file) not in NETCDF_SUFFIXES:
         return None
     try:
         dataset = load_netcdf(file)
@@ -120,6 +122,7 @@ def open_record_files(paths: Sequence[str | Path], scan: Scan | str | Path) -> x
                 "latter anew with --turbine NAME, or fit them separately."
             )
     if len(found) == 1:
+        check_starts(first, "give every record once")
         return first
     joined = xr.concat(
         found,

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _DAY = 86_400_000_000_000  # ns
 ADDED = ("motion", "motion_columns", "mast", "mast_position")
 """Options about what is added to finished records."""
+OF_MOTION = ("time_zone", "time_format", "separator", "decimal", "invalid")
+"""What files of motion have in common with those of radial velocities."""
+OF_MAST = ("invalid",)
+"""What files of a mast have in common with them."""
 _WHO_ADDS = {
     "motion": "give it and the records to bayes_rs.wind.add_motion",
     "mast": "give its files and the records to bayes_rs.wind.with_mast",
@@ -151,6 +155,17 @@ def record_options(options: Mapping[str, Any]) -> RecordOptions:
         if getattr(chosen, name):
             raise InputError(f"The option {name} is not used where records are made: {who}.")
     return chosen
+
+
+def options_beside(options: RecordOptions) -> frozenset[str]:
+    """Return the options of files that are also those of the files of motion, or of a mast, which are named.
+
+    Examples
+    --------
+    >>> sorted(options_beside(RecordOptions(mast="mast.csv")))
+    ['invalid']
+    """
+    return frozenset((*(OF_MOTION if options.motion else ()), *(OF_MAST if options.mast else ())))
 
 
 def options_of_series(options: RecordOptions) -> dict[str, Any]:

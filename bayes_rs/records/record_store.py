@@ -29,7 +29,9 @@ from bayes_rs.readers.compressed import NOT_THE_FILE
 from bayes_rs.readers.folders import FoundFiles, find_files
 from bayes_rs.readers.levels import scan_at_ranges
 from bayes_rs.readers.one_file import SUFFIXES
-from bayes_rs.readers.streaming import series_of_read, stream
+from bayes_rs.readers.reading import checked_options
+from bayes_rs.readers.streaming import series_of_read, stream_files
+from bayes_rs.readers.used_options import check_used
 from bayes_rs.records.file_queue import FileQueue, NotInOrderError, Waiting
 from bayes_rs.records.read_counts import add_report, whole_report
 from bayes_rs.records.read_state import (
@@ -150,8 +152,10 @@ def store_records(
     not fit, all files are read again.
     """
     found = find_files(files, SUFFIXES)
-    reading = reading or FileOptions()
-    of_scan = scan_at_ranges(found.paths, as_scan(scan), reading)
+    of_scan = as_scan(scan)
+    reading = checked_options((reading or FileOptions()).given(), of_scan)
+    check_used(found.paths, of_scan, reading)
+    of_scan = scan_at_ranges(found.paths, of_scan, reading)
     asked = _Asked(
         of_scan,
         reading,
@@ -210,9 +214,9 @@ class _Asked:
         return np.timedelta64(nanoseconds, "ns")
 
     @property
-    def of_files(self) -> dict[str, Any]:
-        """Keywords of `stream`: it stops at a bad file, whatever is then to be done with it."""
-        return {**self.reading.given(), "on_bad_file": "error"}
+    def of_files(self) -> FileOptions:
+        """How files are read: each stops at what is bad, whatever is then to be done with it."""
+        return FileOptions(**{**self.reading.given(), "on_bad_file": "error"})
 
     @property
     def skips(self) -> bool:
@@ -277,10 +281,9 @@ def _read_in_turn(
     n_byte = {path: path.stat().st_size for path in left}
     saved, wait = time.monotonic(), SAVE_SECONDS
     alone = 0  # files that did not go together with others
-    reading = FileOptions(**asked.of_files)
     with (
         progress_counter(sum(n_byte.values()), "reading", "B", scale=True, disable=silent) as bar,
-        closing(read_ahead(left, asked.scan, reading, note=key_of, workers=asked.workers)) as read,
+        closing(read_ahead(left, asked.scan, asked.of_files, note=key_of, workers=asked.workers)) as read,
     ):
         queue = FileQueue(read, partial(_first_of, asked=asked), asked.wait, most, asked.chunk_rows)
         while True:
@@ -337,7 +340,7 @@ def _with_bad(done: ReadSoFar, queue: FileQueue, asked: _Asked, bar: Any, n_byte
 def _first_of(path: Path, asked: _Asked) -> np.datetime64 | Exception:
     """Return the first time of a file that is read in pieces; or what is wrong with it."""
     try:
-        chunk = next(stream(path, asked.scan, chunk_rows=_PEEK, **asked.of_files))
+        chunk = next(stream_files([path], asked.scan, asked.of_files, chunk_rows=_PEEK))
     except UNREADABLE as error:
         return error
     return np.datetime64(chunk["time"].values.min())
@@ -368,8 +371,8 @@ def _read(
 def _chunks(group: Sequence[Waiting], asked: _Asked) -> Iterator[xr.Dataset]:
     parts = [one.samples for one in group if one.samples is not None]
     if len(parts) == len(group):
-        return series_of_read(parts, asked.scan, FileOptions(**asked.of_files), chunk_rows=asked.chunk_rows)
-    return stream([one.path for one in group], asked.scan, chunk_rows=asked.chunk_rows, **asked.of_files)
+        return series_of_read(parts, asked.scan, asked.of_files, chunk_rows=asked.chunk_rows)
+    return stream_files([one.path for one in group], asked.scan, asked.of_files, chunk_rows=asked.chunk_rows)
 
 
 def _bad_one(group: Sequence[Path], error: BaseException, asked: _Asked) -> Path:
@@ -386,7 +389,7 @@ def _bad_one(group: Sequence[Path], error: BaseException, asked: _Asked) -> Path
             return path
     for path in group:
         try:
-            for _ in stream(path, asked.scan, **asked.of_files):
+            for _ in stream_files([path], asked.scan, asked.of_files):
                 pass
         except UNREADABLE:
             return path

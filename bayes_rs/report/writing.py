@@ -16,7 +16,7 @@ from bayes_rs.fits.columns import VARIANCES
 from bayes_rs.fits.fit_folder import open_fit
 from bayes_rs.fits.fit_object import Fit, check_fit
 from bayes_rs.fits.ranged_fit import RangedFit
-from bayes_rs.output import output_file
+from bayes_rs.output import as_named, output_file
 from bayes_rs.report.beside import Beside, match_fits
 from bayes_rs.report.page import render
 from bayes_rs.report.ranged_page import render_ranges
@@ -126,7 +126,7 @@ def write_report(
         part.write_text(html(), encoding="utf-8", newline="\n")
     if output is None:
         list_beside(file)  # it belongs to the folder, and goes with it
-    return file
+    return as_named(file, fit) if isinstance(fit, (str, Path)) else file
 
 
 def _budget_of(fit: Fit) -> BudgetShown:

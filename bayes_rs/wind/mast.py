@@ -17,7 +17,9 @@ from bayes_rs._validation import FloatArray, check_array
 from bayes_rs.errors import InputError, in_short
 from bayes_rs.file_options import FileOptions
 from bayes_rs.geometry.stress import STRESSES, first_impossible
+from bayes_rs.quality.belief import is_mark
 from bayes_rs.readers.folders import find_files
+from bayes_rs.readers.format import FileFormat, resolve_format
 from bayes_rs.readers.toa5 import SUFFIXES, is_toa5, read_sonic
 from bayes_rs.records.belief import NOT_BELIEVED, believed
 from bayes_rs.records.layout import MAST, MAST_POSITION, check_layout, mast_there
@@ -26,6 +28,8 @@ from bayes_rs.reference_table import check_stated, matched_rows, reference_numbe
 from bayes_rs.wind.sonic import sonic_stresses
 
 _log = logging.getLogger(__name__)
+_OF_WIND = 90.0
+"""m² s⁻², below which nines are a stress as any other."""
 
 
 class MastStresses(NamedTuple):
@@ -51,6 +55,7 @@ def with_mast(
     mast: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path],
     *,
     position: ArrayLike,
+    invalid: float | Sequence[float] | None = None,
 ) -> xr.Dataset:
     """Return records that hold what a mast measured in the same periods; a fit takes it as data beside the beams.
 
@@ -67,6 +72,9 @@ def with_mast(
     position : array_like, shape (3,)
         Where it measures, m from the lidar in the levelled frame of that: x against the view of a nacelle lidar, y to
         the right of one who looks out, z up. So a mast 200 m in front of it is at (-200, 0, 0).
+    invalid : float or sequence of float, optional
+        Numbers that mark a missing entry of a table or of a sonic's series, such as -9999. A covariance of 0, and a
+        sonic's velocity of 0, is never missing.
 
     Returns
     -------
@@ -100,7 +108,7 @@ def with_mast(
     array([nan, 1.3])
     """
     _check_records(records)
-    found = _joined(records, read_mast(mast, _duration(records)), position, _log.warning)
+    found = _joined(records, read_mast(mast, _duration(records), invalid), position, _log.warning)
     there = mast_there(found)
     if not there.all():
         _log.warning("The mast has no stress of %d of %d records.", (~there).sum(), len(there))
@@ -117,7 +125,7 @@ def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptio
     records : Dataset, optional
         The records, if they are there already: a sonic's stresses are made for their length.
     files : FileOptions
-        How radial velocities are read, if they are not.
+        How radial velocities are read, if they are not; its ``invalid`` holds for files of the mast, too.
 
     Raises
     ------
@@ -133,7 +141,7 @@ def mast_of(options: RecordOptions, records: xr.Dataset | None, files: FileOptio
             "A mast stands beside records of one range: read the files of radial velocities at one (--focus-distance "
             "DISTANCE, in place of --range or --height), or leave the mast out."
         )
-    return read_mast(options.mast, options.duration if records is None else _duration(records))
+    return read_mast(options.mast, options.duration if records is None else _duration(records), files.invalid)
 
 
 def add_mast(
@@ -156,7 +164,11 @@ def _words(records: xr.Dataset) -> str:
     return f"a mast at ({place}) m is data of the fit: it has stresses of {of} of {_duration(records):g} s"
 
 
-def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
+def read_mast(
+    source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path],
+    duration: float,
+    invalid: float | Sequence[float] | None = None,
+) -> MastStresses:
     """Return what a mast measured, from what `with_mast` takes; of a series, over periods of a duration, s.
 
     Raises
@@ -164,15 +176,19 @@ def read_mast(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Pa
     InputError
         If it is not what `with_mast` takes, or has no variance at all.
     """
-    found = _read(source, duration)
+    found = _read(source, duration, resolve_format(FileOptions(invalid=invalid), None))
     if not np.isfinite(found.stress[:, :3]).any():
         raise _nothing(found.where, f"{len(found.start)} row{'s' * (len(found.start) != 1)}")
     return found
 
 
-def _read(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float) -> MastStresses:
-    if isinstance(source, (xr.Dataset, pd.DataFrame)):
-        return _of_stresses(source, "", duration) if isinstance(source, xr.Dataset) else _of_table(source)
+def _read(
+    source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path], duration: float, marks: FileFormat
+) -> MastStresses:
+    if isinstance(source, xr.Dataset):
+        return _of_stresses(source, "", duration)
+    if isinstance(source, pd.DataFrame):
+        return _of_table(source, marks=marks)
     if not isinstance(source, (str, Path)) and not (
         isinstance(source, Sequence) and all(isinstance(file, (str, Path)) for file in source)
     ):
@@ -181,14 +197,16 @@ def _read(source: xr.Dataset | pd.DataFrame | str | Path | Sequence[str | Path],
     series = [file for file in files if is_toa5(file)]
     first = f"mast in {str(files[0])!r}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
     if len(series) == len(files):
-        return _of_stresses(sonic_stresses(read_sonic(files), duration=duration), first, duration)
+        return _of_stresses(
+            sonic_stresses(read_sonic(files, invalid=marks.invalid), duration=duration), first, duration
+        )
     if series:
         table = next(file for file in files if file not in series)
         raise InputError(
             f"The mast in {str(series[0])!r} is a sonic's series, and that in {str(table)!r} is none: give files of "
             "one kind."
         )
-    tables = [_of_table(file) for file in files]
+    tables = [_of_table(file, marks=marks) for file in files]
     if len(tables) == 1:
         return tables[0]
     start = reference_times(pd.Series(np.concatenate([table.start for table in tables])), first)
@@ -212,7 +230,7 @@ def _of_stresses(stresses: xr.Dataset, where: str, duration: float) -> MastStres
     return _of_table(pd.DataFrame({"time": stresses["time"].values, **columns}), where)
 
 
-def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresses:
+def _of_table(source: pd.DataFrame | str | Path, where: str = "", marks: FileFormat | None = None) -> MastStresses:
     """Return those of a table, checked; `where` says where it is from, if it is no file."""
     table, found_where = reference_table(source, what="mast")
     where = where or found_where
@@ -224,7 +242,9 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     start = reference_times(table[columns["time"]], where)
     values = np.full((len(table), len(STRESSES)), np.nan)
     for name in there:
-        values[:, STRESSES.index(name)] = reference_numbers(table[columns[name]], name, where)
+        numbers = reference_numbers(table[columns[name]], name, where)
+        missing = False if marks is None else marks.is_invalid(numbers, name)
+        values[:, STRESSES.index(name)] = np.where(missing, np.nan, numbers)
     for column, (i, j) in zip((3, 4, 5), ((0, 1), (0, 2), (1, 2)), strict=True):
         unused = np.isfinite(values[:, column]) & ~np.isfinite(values[:, [i, j]]).all(axis=1)
         if unused.any():
@@ -235,7 +255,12 @@ def _of_table(source: pd.DataFrame | str | Path, where: str = "") -> MastStresse
     impossible = first_impossible(values)
     if impossible is not None:
         row, words = impossible
-        raise InputError(f"Row {row} of the {where} {words}; leave empty what is not known.")
+        mark = next((f"{value:g}" for value in values[row].tolist() if abs(value) > _OF_WIND and is_mark(value)), "")
+        said = f"invalid={mark} (--invalid {mark})" if mark else "invalid (--invalid)"
+        raise InputError(
+            f"Row {row} of the {where} {words}; leave empty what is not known, or name the number that marks it with "
+            f"{said}."
+        )
     return MastStresses(start, values, where)
 
 

@@ -26,7 +26,7 @@ from bayes_rs.readers.table import Column, Table, open_table
 from bayes_rs.records.given import check_is_series
 from bayes_rs.records.making import make_records
 from bayes_rs.records.ranges import each_range, scan_of_records
-from bayes_rs.records.record_options import RecordOptions
+from bayes_rs.records.record_options import OF_MOTION, RecordOptions
 from bayes_rs.reference_table import span_words
 from bayes_rs.wind.mean_vector import mean_wind
 
@@ -36,8 +36,6 @@ VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 _UNITS = {**dict.fromkeys(ANGLES, "degree"), **dict.fromkeys(VELOCITIES, "m s-1")}
 
 _NAMES = ("time", *ANGLES, *VELOCITIES)
-_OF_BOTH = ("time_zone", "time_format", "separator", "decimal", "invalid")
-"""What files of motion have in common with those of radial velocities."""
 
 
 class _MotionFormat(FileFormat):
@@ -72,7 +70,7 @@ def read_motion(
     separator, decimal : str
         What separates the entries of a text file, and its decimal sign.
     invalid : sequence of float
-        Numbers that mark a missing entry.
+        Numbers that mark a missing entry. No tilt or roll within ±90 degrees and no heading within ±360 is one.
 
     Returns
     -------
@@ -195,8 +193,9 @@ def add_motion(
         With the files of motion and their columns.
     files : FileOptions, optional
         How the files of radial velocities are written: those of motion have the same zone, form of times, separator,
-        decimal sign and numbers for missing entries. What is not said is what `read_motion` takes it to be; numbers for
-        missing entries are then those of the scan's files.
+        decimal sign and numbers for missing entries, also where those of radial velocities have no use for them. What
+        is not said is what `read_motion` takes it to be; numbers for missing entries are then those of the scan's
+        files.
     say : callable, optional
         Takes a line: where tilt and roll are from, and how many records have them. That some have none is a warning,
         too.
@@ -270,7 +269,7 @@ def check_motion(options: RecordOptions, files: FileOptions | None = None) -> No
 def _as_written(files: FileOptions | None) -> dict[str, Any]:
     """Return how files of motion are written, as far as it is said of those of radial velocities."""
     written = {} if files is None else files.given()
-    return {name: written[name] for name in _OF_BOTH if name in written}
+    return {name: written[name] for name in OF_MOTION if name in written}
 
 
 def _check_turns(names: Collection[Any]) -> None:
