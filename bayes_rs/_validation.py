@@ -62,8 +62,8 @@ def check_non_negative(value: float, *, what: str, unit: str, where: str = "") -
     )
 
 
-def check_finite(value: float, *, what: str, unit: str, where: str = "") -> float:
-    """Return `value` as a float if it is finite, and within limits if the quantity `what` has some."""
+def check_finite(value: float, *, what: str, unit: str, where: str = "", quantity: str | None = None) -> float:
+    """Return `value` as a float if it is finite, and within the limits of the quantity (`what`), if it has some."""
     return _check_number(
         value,
         None,
@@ -71,7 +71,7 @@ def check_finite(value: float, *, what: str, unit: str, where: str = "") -> floa
         what=what,
         unit=unit,
         where=where,
-        limits=LIMITS.get(what.split(" ", maxsplit=1)[0]),
+        limits=LIMITS.get(quantity or what.split(" ", maxsplit=1)[0]),
     )
 
 

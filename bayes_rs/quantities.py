@@ -81,6 +81,7 @@ LIMITS: dict[str, Limits] = {
     "record_length": Limits(1e-3, 1e9),
     "tilt": Limits(-0.5 * pi, 0.5 * pi, _RADIANS),
     "yaw": Limits(-2.0 * pi, 2.0 * pi, _RADIANS),
+    "wind_yaw": Limits(-4.0 * pi, 4.0 * pi, _RADIANS),  # of records, which may count on to two turns
     "tilt_deg": Limits(-90.0, 90.0, "-10 to 10 are usual"),
     "yaw_deg": _ANGLE_DEG,
     "heading_deg": _ANGLE_DEG,

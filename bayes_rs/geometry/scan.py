@@ -16,9 +16,7 @@ from bayes_rs._validation import FloatArray, as_whole_numbers, check_array, chec
 from bayes_rs.errors import InputError
 from bayes_rs.geometry.probe import PointProbe, Probe
 from bayes_rs.geometry.scan_card import scan_card, scan_rows
-
-_MOST_TURN = 4.0 * np.pi
-"""rad; two turns, which the directions of records may have."""
+from bayes_rs.quantities import LIMITS
 
 
 def tilt_matrix(tilt: ArrayLike) -> FloatArray:
@@ -229,11 +227,12 @@ class Scan:
         InputError
             If an angle is beyond 4π, as degrees are; records may have turned as far.
         """
-        beyond = np.abs(yaw) > _MOST_TURN
+        most = LIMITS["wind_yaw"].most
+        beyond = np.abs(yaw) > most
         if np.any(beyond):
             worst = np.asarray(yaw, dtype=np.float64)[beyond].flat[0]
             raise InputError(
-                f"Invalid yaw {worst:g} rad: it must be from {-_MOST_TURN:g} to {_MOST_TURN:g} rad; it is in radians: "
+                f"Invalid yaw {worst:g} rad: it must be from {-most:g} to {most:g} rad; it is in radians: "
                 "np.deg2rad makes them of degrees."
             )
         return np.asarray(self.level_direction @ yaw_matrix(yaw), dtype=np.float64)

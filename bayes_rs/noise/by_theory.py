@@ -119,7 +119,7 @@ def theory_noise(
     check_positive(duration, what="duration", unit="s")
     check_switch(sonic, what="sonic")
     promised, resolution = resolution_for(tolerance, turbulence.gamma)
-    angle = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad")
+    angle = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad", quantity="wind_yaw")
     line_of_sight, geometry = scan.at_yaw(angle), scan.geometry()
     count = sample_counts(scan, duration, detrend)
     scan, about_probe, rows = _apply_probe(scan, line_of_sight, turbulence, tolerance, probe_tolerance)

@@ -138,7 +138,7 @@ class LineMaker:
         self.turbulence = turbulence
         self.wind_speed = check_positive(wind_speed, what="wind_speed", unit="m/s")
         self.n_sample = check_count(n_sample, what="n_sample", minimum=2)
-        self.yaw = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad")
+        self.yaw = scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad", quantity="wind_yaw")
         self.tolerance = tolerance
         check_choice(embedding, EMBEDDINGS, what="embedding")
         self.embedding = embedding

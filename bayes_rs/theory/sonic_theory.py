@@ -93,7 +93,9 @@ def sonic_moments(
     check_positive(wind_speed, what="wind_speed", unit="m/s")
     check_positive(duration, what="duration", unit="s")
     place = check_array(position, (3,), what="position")
-    line_of_sight = scan.at_yaw(scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad"))
+    line_of_sight = scan.at_yaw(
+        scan.yaw if yaw is None else check_finite(yaw, what="yaw", unit="rad", quantity="wind_yaw")
+    )
     count = sample_counts(scan, duration, detrend)
     n = int(samples_that_fit(duration, scan.scan_duration))
     apart = place - line_of_sight * scan.focus_distance[:, np.newaxis]
