@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import signal
-from types import FrameType
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
 from typing import NoReturn
 
 _asked: int | None = None
@@ -47,6 +50,26 @@ def take_notice() -> None:
     """Say that an end that was asked for is heard."""
     global _asked  # noqa: PLW0603
     _asked = None
+
+
+@contextmanager
+def swallowed_in_silence() -> Iterator[None]:
+    """Print no traceback of an end that a library swallows: it is raised again, and has its words then."""
+    raised, unraisable = sys.excepthook, sys.unraisablehook
+
+    def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if not issubclass(kind, EndedError):
+            raised(kind, error, trace)
+
+    def tell_unraisable(what: sys.UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, EndedError):
+            unraisable(what)
+
+    sys.excepthook, sys.unraisablehook = tell, tell_unraisable
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = raised, unraisable
 
 
 def check_goes_on() -> None:

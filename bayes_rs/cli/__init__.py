@@ -10,11 +10,11 @@ import os
 import signal
 import sys
 import traceback
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from bayes_rs.interrupts import EndedError, asked_to_end, check_goes_on, end, take_notice
+from bayes_rs.interrupts import EndedError, asked_to_end, check_goes_on, end, swallowed_in_silence, take_notice
 
 EXIT_NOT_WHOLE = 1
 EXIT_BAD_INPUT = 2
@@ -44,8 +44,9 @@ def main() -> NoReturn:
             if signal.getsignal(number) in _NOT_OURS:  # who asks to live on, as nohup does, is heard
                 with suppress(ValueError):  # a thread may not
                     signal.signal(number, end)
-        code = _run()
-        check_goes_on()
+        with nullcontext() if os.environ.get(DEBUG) == "1" else swallowed_in_silence():
+            code = _run()
+            check_goes_on()
         for stream in (sys.stdout, sys.stderr):  # while an error there can have its words
             if stream is not None:
                 stream.flush()
