@@ -162,7 +162,7 @@ def options_beside(options: RecordOptions) -> frozenset[str]:
 
     Examples
     --------
-    >>> sorted(options_beside(RecordOptions(mast="mast.csv")))
+    >>> sorted(options_beside(RecordOptions(mast="mast.csv", mast_position=(-200.0, 0.0, 0.0))))
     ['invalid']
     """
     return frozenset((*(OF_MOTION if options.motion else ()), *(OF_MAST if options.mast else ())))
