@@ -13,6 +13,8 @@ MAD_TO_SIGMA = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
 FAR = 10.0
 """Robust standard deviations beyond which a sample is far out: twice the usual threshold, where air has no samples."""
+RAISED, RAISED_ONE = 0.02, 0.1
+"""Spikes are told from where they raise all variances together, or those of one beam, by these shares."""
 SPIKES = "lie far outside the others of their beam (spikes, as of low CNR)"
 DESPIKE = "despike='median' (--despike median) leaves them out"
 """What is said of samples far out, and what helps."""

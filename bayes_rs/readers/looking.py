@@ -16,7 +16,7 @@ from bayes_rs.errors import InputError
 from bayes_rs.file_options import VELOCITY_LIMIT, FileOptions
 from bayes_rs.options import from_plain
 from bayes_rs.quality.groups import group_moments
-from bayes_rs.quality.spikes import DESPIKE, SPIKES, is_far_out, samples_words
+from bayes_rs.quality.spikes import DESPIKE, RAISED, RAISED_ONE, SPIKES, is_far_out, samples_words
 from bayes_rs.readers.compressed import own_suffix, plain_file
 from bayes_rs.readers.directions import CommonDirections, common_directions
 from bayes_rs.readers.folders import find_files
@@ -36,7 +36,6 @@ _GAP = 5.0  # sampling intervals from which on a pause is a gap
 _LIKELY = 0.9  # share of the largest growth with height
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _WINDOW, _SPIKE_WINDOW = 600.0, 11  # s within which samples are compared, and samples of the running median
-_RAISED, _RAISED_ONE = 0.02, 0.1  # share of all variances, or of a beam's, from which on spikes are told
 _N_PHASE = 50  # parts of a cone that are compared with themselves
 _MOST_LISTED = 60  # directions
 _PRESETS = {1: "staring", 2: "2-beam", 4: "pulsed-4-beam", 50: "zx-tm"}
@@ -342,7 +341,7 @@ def _spikes(time: NDArray[np.datetime64], velocity: FloatArray | None, label: ND
         for rows in (np.ones(len(far), dtype=bool), ~far)
     )
     raised = np.divide(every, clean, out=np.ones_like(every), where=clean > 0.0) - 1.0
-    if every.sum() <= (1.0 + _RAISED) * clean.sum() and raised.max() <= _RAISED_ONE:
+    if every.sum() <= (1.0 + RAISED) * clean.sum() and raised.max() <= RAISED_ONE:
         return []
     return [f"{samples_words(int(far.sum()), len(values))} {SPIKES}: {DESPIKE}"]
 

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from bayes_rs._validation import FloatArray
 from bayes_rs.quality.groups import group_moments
 from bayes_rs.quality.samples import BeamSamples, BoolArray
-from bayes_rs.quality.spikes import is_far_out
+from bayes_rs.quality.spikes import RAISED, RAISED_ONE, is_far_out
 
 COUNT, ADDED = "spike_count", "spike_variance"
 """Variables of records: samples far outside the others of their beam, and what they add to the variance."""
 _OF_RECORD, _OF_ONE = 0.05, 0.5
 """A record is remarked on if spikes raise the variances of its beams together, or of one beam, by these shares."""
-_OF_ALL, _OF_BEAM = 0.02, 0.1
-"""All records are doubted if spikes raise all their variances together, or those of one beam, by these shares."""
 
 
 def spikes_of_records(samples: BeamSamples, keep: BoolArray, variance: FloatArray, *, window: int) -> dict[str, Any]:
@@ -79,7 +77,7 @@ def spikes_report(records: xr.Dataset) -> dict[str, Any]:
     count = np.where(records["flag"].values == 0, records[COUNT].values, 0)
     of_beam = added.sum(axis=0) / np.maximum(clean.sum(axis=0), 1e-300)
     raised = float(added.sum() / max(float(clean.sum()), 1e-300))
-    if not count.any() or (raised <= _OF_ALL and of_beam.max() <= _OF_BEAM):
+    if not count.any() or (raised <= RAISED and of_beam.max() <= RAISED_ONE):
         return {"spikes": None}
     worst = int(np.argmax(of_beam))
     used = np.where(records["flag"].values == 0, records["count"].values, 0)
